@@ -1,0 +1,1 @@
+"""What a scene graph is: concepts, arrays, padding, proximity, validation. No learning."""

@@ -1,0 +1,181 @@
+"""Fixed capacities: buckets, padding, stacking, and appending a block to a padded graph.
+
+Real nodes fill the first slots. Padding nodes are zero; padding edges are loops on slot 0 with a
+False mask, so that a gather stays in range and a masked sum ignores them.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from sg3d_jax.scene.concepts import PART_OF, PLANE
+from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph, undirected_edges
+
+NODE_CAPACITIES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
+EDGES_PER_NODE = 12  # proximity edges are about 12 a plane (both directions), part-of 2.5 a node
+
+
+class Capacity(NamedTuple):
+    """Static sizes of a padded graph; one compilation a capacity."""
+
+    nodes: int  # N
+    edges: int  # E
+
+
+class Block(NamedTuple):
+    """New nodes of one growth step and their edges; padding rows are False in `mask`."""
+
+    label: Array  # int32[M]
+    position: Array  # float[M, 3], metres
+    edges: Array  # bool[M, M + N], to the block itself (symmetric) and to the old graph
+    mask: Array  # bool[M]
+
+
+def bucket(num_nodes: int, num_edges: int = 0) -> Capacity:
+    """Returns the smallest capacity that holds a graph.
+
+    Raises:
+      ValueError: the graph exceeds the largest capacity.
+    """
+    for nodes in NODE_CAPACITIES:
+        if num_nodes <= nodes and num_edges <= EDGES_PER_NODE * nodes:
+            return Capacity(nodes, EDGES_PER_NODE * nodes)
+    raise ValueError(
+        f"a graph of {num_nodes} nodes and {num_edges} directed edges exceeds the largest capacity, "
+        f"{NODE_CAPACITIES[-1]} nodes and {EDGES_PER_NODE * NODE_CAPACITIES[-1]} edges"
+    )
+
+
+def pad(graph: SceneGraph, capacity: Capacity) -> SceneGraph:
+    """Pads a host graph to a capacity, in float32; still numpy.
+
+    Raises:
+      ValueError: the graph does not fit.
+    """
+    num_nodes, num_edges = len(graph.nodes.label), len(graph.senders)
+    if num_nodes > capacity.nodes or num_edges > capacity.edges:
+        raise ValueError(
+            f"a graph of {num_nodes} nodes and {num_edges} directed edges does not fit in {capacity}"
+        )
+
+    def grow(array: np.ndarray, size: int) -> np.ndarray:
+        dtype = np.float32 if np.issubdtype(array.dtype, np.floating) else array.dtype
+        padded = np.zeros((size, *array.shape[1:]), dtype)
+        padded[: len(array)] = array
+        return padded
+
+    return SceneGraph(
+        nodes=Nodes(*(grow(np.asarray(field), capacity.nodes) for field in graph.nodes)),
+        edges=Edges(*(grow(np.asarray(field), capacity.edges) for field in graph.edges)),
+        senders=grow(np.asarray(graph.senders), capacity.edges),
+        receivers=grow(np.asarray(graph.receivers), capacity.edges),
+        n_node=np.array([num_nodes, capacity.nodes - num_nodes], np.int32),
+        n_edge=np.array([num_edges, capacity.edges - num_edges], np.int32),
+        globals=None,
+    )
+
+
+def unpad(graph: SceneGraph) -> SceneGraph:
+    """Returns the real nodes and edges of one padded graph as a host graph."""
+    keep = np.asarray(graph.nodes.mask)
+    slot = np.cumsum(keep) - 1
+    pairs = {relation: slot[undirected_edges(graph, relation)] for relation in (0, 1)}
+    return make_graph(
+        *(np.asarray(field)[keep] for field in graph.nodes[:4]),
+        part_of=pairs[1],
+        proximity=pairs[0],
+    )
+
+
+def stack(graphs: Sequence[SceneGraph], capacity: Capacity) -> SceneGraph:
+    """Pads host graphs to one capacity and stacks them along a new first axis, on the device."""
+    padded = [pad(graph, capacity) for graph in graphs]
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *padded)
+
+
+def part_of_adjacency(graph: SceneGraph) -> Bool[Array, "N N"]:
+    """Returns the dense symmetric adjacency of the part-of edges of a padded graph."""
+    num_nodes = graph.nodes.mask.shape[0]
+    chosen = graph.edges.mask & (graph.edges.relation == PART_OF)
+    empty = jnp.zeros((num_nodes, num_nodes), bool)
+    return empty.at[graph.receivers, graph.senders].max(chosen)
+
+
+def without_proximity(graph: SceneGraph) -> SceneGraph:
+    """Masks the proximity edges out: the final step of growing (paper, Sec. "Generating 3DSGs")."""
+    part_of = graph.edges.mask & (graph.edges.relation == PART_OF)
+    return graph._replace(edges=graph.edges._replace(mask=part_of))
+
+
+def append_block(graph: SceneGraph, block: Block) -> tuple[SceneGraph, Bool[Array, ""]]:
+    """Appends a block behind the real nodes of a padded graph.
+
+    Args:
+      graph: padded; real nodes in the first slots, real edges likewise.
+      block: `M` new nodes; real ones first. Only edges between real nodes are appended.
+
+    Returns:
+      The grown graph and whether everything fitted. What does not fit is dropped, so a graph that
+      did not fit must be discarded or reported.
+
+    Source: paper, Sec. "FLAGG for graph extension" (merging a block with G_{t-1}).
+    """
+    nodes, edges = graph.nodes, graph.edges
+    num_block, (capacity, edge_capacity) = block.mask.shape[0], (nodes.mask.shape[0], edges.mask.shape[0])
+    num_old, num_old_edges = graph.n_node[0], graph.n_edge[0]
+    num_new = jnp.sum(block.mask, dtype=jnp.int32)
+    slots = jnp.where(block.mask, num_old + jnp.arange(num_block), capacity)  # dropped if beyond
+
+    nodes = Nodes(
+        label=nodes.label.at[slots].set(block.label, mode="drop"),
+        position=nodes.position.at[slots].set(block.position, mode="drop"),
+        normal=nodes.normal,
+        width=nodes.width,
+        mask=nodes.mask.at[slots].set(True, mode="drop"),
+    )
+
+    wanted, tokens = _new_pairs(block, graph.nodes.mask, slots)
+    rank = jnp.cumsum(wanted.ravel()).reshape(wanted.shape) - 1
+    count = jnp.sum(wanted, dtype=jnp.int32)
+    forward = jnp.where(wanted, num_old_edges + 2 * rank, edge_capacity).ravel()
+    backward = jnp.where(wanted, num_old_edges + 2 * rank + 1, edge_capacity).ravel()
+    new = jnp.broadcast_to(slots[:, None], wanted.shape).ravel()
+    old = jnp.broadcast_to(tokens[None, :], wanted.shape).ravel()
+
+    def put(array: Array, at_forward: Array | int, at_backward: Array | int) -> Array:
+        array = array.at[forward].set(at_forward, mode="drop")
+        return array.at[backward].set(at_backward, mode="drop")
+
+    total, total_edges = num_old + num_new, num_old_edges + 2 * count
+    grown = SceneGraph(
+        nodes=nodes,
+        edges=Edges(put(edges.relation, PART_OF, PART_OF), put(edges.mask, True, True)),
+        senders=put(graph.senders, new, old),
+        receivers=put(graph.receivers, old, new),
+        n_node=jnp.stack([total, capacity - total]),
+        n_edge=jnp.stack([total_edges, edge_capacity - total_edges]),
+        globals=None,
+    )
+    return grown, (total <= capacity) & (total_edges <= edge_capacity)
+
+
+def _new_pairs(
+    block: Block, old_mask: Bool[Array, " N"], slots: Int[Array, " M"]
+) -> tuple[Bool[Array, "M M+N"], Int[Array, " M+N"]]:
+    """Returns which pairs (block node, token) become edges, each once, and the slot of each token."""
+    num_block, capacity = block.mask.shape[0], old_mask.shape[0]
+    once = jnp.tril(jnp.ones((num_block, num_block), bool), -1)
+    once = jnp.concatenate([once, jnp.ones((num_block, capacity), bool)], axis=1)
+    real = jnp.concatenate([block.mask, old_mask])
+    tokens = jnp.concatenate([slots, jnp.arange(capacity)])
+    return block.edges & once & real[None, :] & block.mask[:, None], tokens
+
+
+def centre_of_planes(graph: SceneGraph) -> Float[np.ndarray, "3"]:
+    """Returns the mean plane centroid of a host graph, metres: the origin that float32 likes best."""
+    planes = np.asarray(graph.nodes.mask) & (np.asarray(graph.nodes.label) == PLANE)
+    return np.asarray(graph.nodes.position, np.float64)[planes].mean(axis=0)
