@@ -1,0 +1,1 @@
+"""Where scene graphs come from: generators, files, splits and their statistics."""
