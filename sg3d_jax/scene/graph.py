@@ -9,15 +9,14 @@ are silently wrong when a graph fills its capacity (jraph issue 55).
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
 import jraph
 import numpy as np
 
 from sg3d_jax.scene.concepts import PART_OF, PLANE, PROXIMITY
 
-Array = jax.Array | np.ndarray
+Array = Any  # jax.Array on the device, np.ndarray on the host: no checker can know which
 
 
 class Nodes(NamedTuple):
@@ -37,7 +36,21 @@ class Edges(NamedTuple):
     mask: Array  # bool[E], True for real edges
 
 
-SceneGraph = jraph.GraphsTuple  # nodes: Nodes, edges: Edges, globals: None
+if TYPE_CHECKING:
+
+    class SceneGraph(NamedTuple):
+        """What type checkers see of the jraph `GraphsTuple` below: its fields are ours."""
+
+        nodes: Nodes
+        edges: Edges
+        senders: Array  # int32[E]
+        receivers: Array  # int32[E]
+        n_node: Array  # int32[1], or int32[2] if padded: real nodes, padding
+        n_edge: Array  # int32[1], or int32[2]
+        globals: None
+
+else:
+    SceneGraph = jraph.GraphsTuple
 
 
 def make_graph(

@@ -45,8 +45,8 @@ def bucket(num_nodes: int, num_edges: int = 0) -> Capacity:
         if num_nodes <= nodes and num_edges <= EDGES_PER_NODE * nodes:
             return Capacity(nodes, EDGES_PER_NODE * nodes)
     raise ValueError(
-        f"a graph of {num_nodes} nodes and {num_edges} directed edges exceeds the largest capacity, "
-        f"{NODE_CAPACITIES[-1]} nodes and {EDGES_PER_NODE * NODE_CAPACITIES[-1]} edges"
+        f"a graph of {num_nodes} nodes and {num_edges} directed edges exceeds the largest "
+        f"capacity, {NODE_CAPACITIES[-1]} nodes and {EDGES_PER_NODE * NODE_CAPACITIES[-1]} edges"
     )
 
 
@@ -59,7 +59,8 @@ def pad(graph: SceneGraph, capacity: Capacity) -> SceneGraph:
     num_nodes, num_edges = len(graph.nodes.label), len(graph.senders)
     if num_nodes > capacity.nodes or num_edges > capacity.edges:
         raise ValueError(
-            f"a graph of {num_nodes} nodes and {num_edges} directed edges does not fit in {capacity}"
+            f"a graph of {num_nodes} nodes and {num_edges} directed edges does not fit in "
+            f"{capacity}"
         )
 
     def grow(array: np.ndarray, size: int) -> np.ndarray:
@@ -125,7 +126,7 @@ def append_block(graph: SceneGraph, block: Block) -> tuple[SceneGraph, Bool[Arra
     Source: paper, Sec. "FLAGG for graph extension" (merging a block with G_{t-1}).
     """
     nodes, edges = graph.nodes, graph.edges
-    num_block, (capacity, edge_capacity) = block.mask.shape[0], (nodes.mask.shape[0], edges.mask.shape[0])
+    num_block, capacity, edge_capacity = (x.mask.shape[0] for x in (block, nodes, edges))
     num_old, num_old_edges = graph.n_node[0], graph.n_edge[0]
     num_new = jnp.sum(block.mask, dtype=jnp.int32)
     slots = jnp.where(block.mask, num_old + jnp.arange(num_block), capacity)  # dropped if beyond
@@ -166,7 +167,7 @@ def append_block(graph: SceneGraph, block: Block) -> tuple[SceneGraph, Bool[Arra
 def _new_pairs(
     block: Block, old_mask: Bool[Array, " N"], slots: Int[Array, " M"]
 ) -> tuple[Bool[Array, "M M+N"], Int[Array, " M+N"]]:
-    """Returns which pairs (block node, token) become edges, each once, and the slot of each token."""
+    """Returns which pairs (block node, token) become edges, each once, and each token's slot."""
     num_block, capacity = block.mask.shape[0], old_mask.shape[0]
     once = jnp.tril(jnp.ones((num_block, num_block), bool), -1)
     once = jnp.concatenate([once, jnp.ones((num_block, capacity), bool)], axis=1)
@@ -176,6 +177,6 @@ def _new_pairs(
 
 
 def centre_of_planes(graph: SceneGraph) -> Float[np.ndarray, "3"]:
-    """Returns the mean plane centroid of a host graph, metres: the origin that float32 likes best."""
+    """Returns the mean plane centroid of a host graph, metres: the origin float32 likes best."""
     planes = np.asarray(graph.nodes.mask) & (np.asarray(graph.nodes.label) == PLANE)
     return np.asarray(graph.nodes.position, np.float64)[planes].mean(axis=0)

@@ -49,7 +49,7 @@ def connect_planes(graph: SceneGraph, k: int = NEIGHBOURS) -> SceneGraph:
 
     Returns:
       The same nodes with both directions of every proximity edge in the first edge slots. Edges
-      that do not fit in `E` are lost: `n_edge[0]` then exceeds `E`, which callers on the host check.
+      that do not fit in `E` are lost: `n_edge[0]` then exceeds `E`, which host callers check.
 
     Source: paper, Sec. "Initializing the plane graph".
     """

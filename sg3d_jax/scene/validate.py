@@ -4,9 +4,6 @@ Every refusal is a `ValueError` of one sentence: where, which node or plane (cou
 field, what it holds, and what was expected.
 """
 
-from collections.abc import Sequence
-from typing import Final
-
 import numpy as np
 
 from sg3d_jax.scene.concepts import (
@@ -130,7 +127,7 @@ def _check_edges(graph: SceneGraph, where: str) -> None:
     _refuse_edge(where, ends, missing, f"joins a missing node, expected 0 to {num_nodes - 1}")
     unknown = (relation < 0) | (relation >= NUM_RELATIONS)
     _refuse_edge(where, ends, unknown, f"has an unknown relation, expected one of {RELATIONS}")
-    _refuse_edge(where, ends, senders == receivers, "is a loop, expected two different nodes")
+    _refuse_edge(where, ends, np.equal(senders, receivers), "is a loop, expected two nodes")
     code = senders.astype(np.int64) * num_nodes + receivers
     _, first, count = np.unique(code, return_index=True, return_counts=True)
     repeated = np.isin(np.arange(len(code)), first[count > 1])
@@ -201,7 +198,7 @@ def _refuse_edge(where: str, ends: np.ndarray, wrong: np.ndarray, problem: str) 
         raise ValueError(f"{where}: edge [{sender}, {receiver}] {problem}")
 
 
-def _text(value: np.ndarray | Sequence[float]) -> str:
+def _text(value: np.ndarray) -> str:
     """Returns a number or vector as a user would write it."""
     plain = np.asarray(value).tolist()
     numbers = plain if isinstance(plain, list) else [plain]
