@@ -4,6 +4,8 @@ Every refusal is a `ValueError` of one sentence: where, which node or plane (cou
 field, what it holds, and what was expected.
 """
 
+from typing import Final
+
 import numpy as np
 
 from sg3d_jax.scene.concepts import (
@@ -127,7 +129,7 @@ def _check_edges(graph: SceneGraph, where: str) -> None:
     _refuse_edge(where, ends, missing, f"joins a missing node, expected 0 to {num_nodes - 1}")
     unknown = (relation < 0) | (relation >= NUM_RELATIONS)
     _refuse_edge(where, ends, unknown, f"has an unknown relation, expected one of {RELATIONS}")
-    _refuse_edge(where, ends, np.equal(senders, receivers), "is a loop, expected two nodes")
+    _refuse_edge(where, ends, ends[:, 0] == ends[:, 1], "is a loop, expected two nodes")
     code = senders.astype(np.int64) * num_nodes + receivers
     _, first, count = np.unique(code, return_index=True, return_counts=True)
     repeated = np.isin(np.arange(len(code)), first[count > 1])
