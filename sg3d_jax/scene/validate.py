@@ -125,9 +125,9 @@ def _check_edges(graph: SceneGraph, where: str) -> None:
     senders, receivers = np.asarray(graph.senders), np.asarray(graph.receivers)
     relation, num_nodes = np.asarray(graph.edges.relation), len(graph.nodes.label)
     ends = np.stack([senders, receivers], axis=-1)
-    missing = ((ends < 0) | (ends >= num_nodes)).any(axis=-1)
+    missing = np.any((ends < 0) | (ends >= num_nodes), axis=-1)
     _refuse_edge(where, ends, missing, f"joins a missing node, expected 0 to {num_nodes - 1}")
-    unknown = (relation < 0) | (relation >= NUM_RELATIONS)
+    unknown = ~np.isin(relation, range(NUM_RELATIONS))
     _refuse_edge(where, ends, unknown, f"has an unknown relation, expected one of {RELATIONS}")
     _refuse_edge(where, ends, ends[:, 0] == ends[:, 1], "is a loop, expected two nodes")
     code = senders.astype(np.int64) * num_nodes + receivers

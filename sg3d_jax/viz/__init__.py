@@ -1,0 +1,1 @@
+"""Scene graphs for the eye. Nothing else in the package imports a plotting library."""

@@ -1,0 +1,197 @@
+"""Pictures of scene graphs, as in the paper: matplotlib, no display needed.
+
+Planes are blue segments; the other concepts are dots in their own colour, lifted apart in z so that
+the hierarchy can be read (the lift is drawn, it is not part of the graph).
+
+Source: paper, Fig. 1 and the figure of qualitative results.
+Differs: a parallel projection, so that parallel walls stay parallel and every scene fills its frame
+(the 3D axes of matplotlib clip large scenes and centre small ones in white).
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from sg3d_jax.interop.files import replacing
+from sg3d_jax.scene.concepts import (
+    BUILDING,
+    CITY,
+    CONCEPTS,
+    FLOOR,
+    PART_OF,
+    PLANE,
+    ROOM,
+    WALL,
+)
+from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+
+
+class Style(NamedTuple):
+    """How one concept is drawn."""
+
+    colour: str
+    lift: float  # metres, up
+    size: float  # diameter of the dot, points
+
+
+STYLES: Final = {
+    PLANE: Style("#1d4ed8", 0.0, 4.0),
+    WALL: Style("#f59e0b", 1.0, 5.0),
+    ROOM: Style("#dc2626", 2.0, 7.0),
+    FLOOR: Style("#16a34a", 3.0, 9.0),
+    BUILDING: Style("#06b6d4", 4.0, 11.0),
+    CITY: Style("#111111", 5.0, 12.0),
+}
+EDGE_COLOUR: Final = "#8b919c"
+EDGE_WIDTH: Final = 0.7  # points
+PLANE_WIDTH: Final = 1.5  # points
+ELEVATION, AZIMUTH = np.radians([32.0, -62.0])  # the camera; nearly that of the paper's pictures
+RESOLUTION: Final = 200  # dots per inch
+PICTURE_WIDTH: Final = 8.0  # inches
+CELL_WIDTH: Final = 3.0  # inches, one graph of a contact sheet
+LEGEND_HEIGHT: Final = 0.6  # inches
+
+
+def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) -> Axes:
+    """Draws a host graph.
+
+    Args:
+      graph: unpadded, metres.
+      axes: where to draw; None for the axes of a new figure.
+      scale: of lines and dots; 1 suits a picture 8 inches wide.
+
+    Returns:
+      The axes, without ticks or frame, a metre equally long in every direction.
+    """
+    if axes is None:
+        axes = Figure(layout="constrained").add_subplot()
+    label = np.asarray(graph.nodes.label)
+    nodes = project(lifted(graph))
+    edges, planes = nodes[undirected_edges(graph, PART_OF)], project(plane_segments(graph))
+    _add_lines(axes, edges, EDGE_COLOUR, EDGE_WIDTH * scale, zorder=1)
+    _add_lines(axes, planes, STYLES[PLANE].colour, PLANE_WIDTH * scale, zorder=2)
+    for concept in sorted(set(label.tolist())):
+        style, dots = STYLES[concept], nodes[label == concept].T
+        drawn = axes.scatter(*dots, s=(style.size * scale) ** 2, c=style.colour)
+        drawn.set(edgecolor="white", linewidth=0.7 * scale, zorder=3 + concept)
+    axes.set(aspect="equal", xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+    axes.margins(0.04)
+    return axes
+
+
+def plane_segments(graph: SceneGraph) -> np.ndarray:
+    """Returns the two ends of every plane of a host graph, float64[planes, 2, 3], metres."""
+    position, normal, width = (np.asarray(field) for field in graph.nodes[1:4])
+    chosen = np.asarray(graph.nodes.label) == PLANE
+    along = np.cross(np.array([0.0, 0.0, 1.0]), normal[chosen])
+    half = along * width[chosen, None] / 2
+    return np.stack([position[chosen] - half, position[chosen] + half], axis=1)
+
+
+def lifted(graph: SceneGraph) -> np.ndarray:
+    """Returns where the nodes of a host graph are drawn, float64[n, 3], metres."""
+    lifts = np.array([STYLES[concept].lift for concept in range(len(CONCEPTS))])
+    points = np.array(graph.nodes.position, np.float64)
+    points[:, 2] += lifts[np.asarray(graph.nodes.label)]
+    return points
+
+
+def project(points: np.ndarray) -> np.ndarray:
+    """Returns the parallel projection of points [..., 3] on the picture [..., 2]: right and up."""
+    right = [-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0]
+    away = np.array([np.cos(AZIMUTH), np.sin(AZIMUTH)]) * -np.sin(ELEVATION)
+    return points @ np.array([right, [*away, np.cos(ELEVATION)]]).T
+
+
+def save_picture(graph: SceneGraph, path: str | Path, title: str | None = None) -> None:
+    """Draws a host graph with a legend to a file whose suffix names the format (.png, .pdf, .svg).
+
+    Args:
+      graph: unpadded, metres.
+      path: the file to write.
+      title: printed above the picture.
+
+    Raises:
+      ValueError: the format is unknown or the file cannot be written.
+    """
+    figure = _draw_rows([[graph]], PICTURE_WIDTH)
+    if title:
+        figure.suptitle(title)
+    _save(figure, path)
+
+
+def contact_sheet(rows: Sequence[tuple[str, Sequence[SceneGraph]]], path: str | Path) -> None:
+    """Draws rows of host graphs, such as true and generated ones, above one another.
+
+    Args:
+      rows: a title and the graphs of each row, left to right; empty rows are left out.
+      path: the file to write.
+
+    Raises:
+      ValueError: there is nothing to draw, the format is unknown or the file cannot be written.
+    """
+    rows = [(title, row) for title, row in rows if row]
+    if not rows:
+        raise ValueError(f"{path}: there are no graphs, expected at least one to draw")
+    figure = _draw_rows([row for _, row in rows], CELL_WIDTH)
+    firsts = np.cumsum([0] + [len(row) for _, row in rows[:-1]])
+    for first, (title, _) in zip(firsts, rows, strict=True):
+        figure.axes[first].set_ylabel(title)
+    _save(figure, path)
+
+
+def _draw_rows(rows: Sequence[Sequence[SceneGraph]], width: float) -> Figure:
+    """Returns a figure of rows of graphs, each `width` inches wide, with one legend below."""
+    figure = Figure(layout="constrained")
+    columns = max(len(row) for row in rows)
+    for index, row in enumerate(rows):
+        for column, graph in enumerate(row, start=1):
+            axes = figure.add_subplot(len(rows), columns, index * columns + column)
+            draw_graph(graph, axes, scale=(width / PICTURE_WIDTH) ** 0.5)
+    height = width * max(_height_by_width(axes) for axes in figure.axes)
+    figure.set_size_inches(width * columns, height * len(rows) + LEGEND_HEIGHT)
+    _add_legend(figure, [graph for row in rows for graph in row])
+    return figure
+
+
+def _height_by_width(axes: Axes) -> float:
+    width, height = axes.dataLim.size
+    return float(np.clip(height / max(width, 1e-9), 0.4, 1.2))
+
+
+def _add_lines(axes: Axes, ends: np.ndarray, colour: str, width: float, zorder: int) -> None:
+    """Draws lines between pairs of points, float[n, 2, 2]."""
+    lines = LineCollection(list(ends), colors=colour, linewidths=width, zorder=zorder)
+    lines.set_capstyle("round")
+    axes.add_collection(lines)
+
+
+def _add_legend(figure: Figure, graphs: Sequence[SceneGraph]) -> None:
+    """Adds one legend of the concepts that occur, in their order, below everything."""
+    present = {concept for graph in graphs for concept in np.unique(graph.nodes.label).tolist()}
+    handles = [_handle(concept) for concept in sorted(present)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+
+
+def _handle(concept: int) -> Line2D:
+    style = STYLES[concept]
+    handle = Line2D([], [], color=style.colour, label=CONCEPTS[concept], linewidth=PLANE_WIDTH)
+    handle.set(marker="o", markersize=style.size, markeredgewidth=0)
+    handle.set_linestyle("solid" if concept == PLANE else "none")
+    return handle
+
+
+def _save(figure: Figure, path: str | Path) -> None:
+    suffix = Path(path).suffix[1:].lower()
+    known = figure.canvas.get_supported_filetypes()
+    if suffix not in known:
+        raise ValueError(f"{path}: {suffix!r} is no picture format, expected {', '.join(known)}")
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=RESOLUTION)
