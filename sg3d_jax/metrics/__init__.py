@@ -1,0 +1,1 @@
+"""How good generated scene graphs are: against the truth of the same planes, and as a set."""

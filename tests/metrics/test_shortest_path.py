@@ -1,0 +1,65 @@
+import jax
+import jax.numpy as jnp
+import networkx as nx
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sg3d_jax.metrics.shortest_path import hop_distances, part_of_hops
+from sg3d_jax.scene.concepts import FLOOR, PLANE, ROOM
+from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.padding import Capacity, pad
+
+CAPACITY = 12
+
+
+def hops_of_networkx(graph: nx.Graph) -> np.ndarray:
+    count = graph.number_of_nodes()
+    hops = np.full((count, count), -1)
+    for source, lengths in nx.all_pairs_shortest_path_length(graph):
+        hops[source, list(lengths)] = list(lengths.values())
+    return np.where(hops < 0, 1 + hops.max(), hops)
+
+
+def padded(graph: nx.Graph) -> tuple[np.ndarray, np.ndarray]:
+    count = graph.number_of_nodes()
+    adjacency = np.zeros((CAPACITY, CAPACITY), bool)
+    adjacency[:count, :count] = nx.to_numpy_array(graph, nodelist=range(count)) > 0
+    return adjacency, np.arange(CAPACITY) < count
+
+
+batched_hops = jax.jit(jax.vmap(hop_distances))
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, CAPACITY), st.floats(0, 0.4)), min_size=3, max_size=3),
+    st.integers(0, 1000),
+)
+@settings(deadline=None, max_examples=50)
+def test_hops__are_those_of_networkx_in_a_batch_of_unequal_graphs(sizes, seed):
+    graphs = [nx.gnp_random_graph(size, p, seed=seed) for size, p in sizes]
+    adjacency, mask = (np.stack(field) for field in zip(*map(padded, graphs), strict=True))
+    found = np.asarray(batched_hops(adjacency, mask))
+    for graph, hops in zip(graphs, found, strict=True):
+        count = graph.number_of_nodes()
+        np.testing.assert_array_equal(hops[:count, :count], hops_of_networkx(graph))
+        assert not hops[count:].any()
+        assert not hops[:, count:].any()
+
+
+def test_longest_possible_path():
+    adjacency, mask = padded(nx.path_graph(CAPACITY))
+    assert hop_distances(jnp.asarray(adjacency), jnp.asarray(mask))[0, -1] == CAPACITY - 1
+
+
+def test_proximity_edges_are_no_path():
+    graph = make_graph(
+        [PLANE, PLANE, ROOM, FLOOR],
+        np.zeros((4, 3)),
+        np.zeros((4, 3)),
+        np.zeros(4),
+        part_of=[[0, 2], [2, 3]],
+        proximity=[[0, 1]],
+    )
+    hops = part_of_hops(jax.tree.map(jnp.asarray, pad(graph, Capacity(5, 8))))
+    np.testing.assert_array_equal(hops[0], [0, 3, 1, 2, 0])
