@@ -200,7 +200,7 @@ def _refuse_edge(where: str, ends: np.ndarray, wrong: np.ndarray, problem: str) 
         raise ValueError(f"{where}: edge [{sender}, {receiver}] {problem}")
 
 
-def _text(value: np.ndarray) -> str:
+def _text(value: np.ndarray | np.generic) -> str:
     """Returns a number or vector as a user would write it."""
     plain = np.asarray(value).tolist()
     numbers = plain if isinstance(plain, list) else [plain]

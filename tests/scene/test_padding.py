@@ -1,0 +1,222 @@
+from itertools import pairwise
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.testing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sg3d_jax.scene.concepts import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.padding import (
+    EDGES_PER_NODE,
+    NODE_CAPACITIES,
+    Block,
+    Capacity,
+    append_block,
+    bucket,
+    centre_of_planes,
+    pad,
+    part_of_adjacency,
+    stack,
+    unpad,
+    without_proximity,
+)
+
+CAPACITY = Capacity(16, 256)
+BLOCK_CAPACITY = 4
+
+
+def random_graph(seed, num_nodes=9):
+    """A graph of mixed labels and edges, float32 values so that padding loses nothing."""
+    rng = np.random.default_rng(seed)
+    label = rng.choice([PLANE, WALL, ROOM], num_nodes)
+    position, normal = rng.normal(size=(2, num_nodes, 3)).astype(np.float32)
+    width = rng.uniform(1, 3, num_nodes).astype(np.float32)
+    pairs = np.argwhere(np.triu(rng.random((num_nodes, num_nodes)) < 0.4, 1))
+    part_of, proximity = np.split(rng.permutation(pairs), [len(pairs) // 2])
+    return make_graph(label, position, normal, width, part_of, proximity)
+
+
+def random_block(seed, num_new):
+    """A block with edges everywhere, also at padding, which must be ignored."""
+    rng = np.random.default_rng(seed)
+    inside = np.triu(rng.random((BLOCK_CAPACITY, BLOCK_CAPACITY)) < 0.5, 1)
+    across = rng.random((BLOCK_CAPACITY, CAPACITY.nodes)) < 0.4
+    return Block(
+        label=jnp.asarray(rng.choice([WALL, ROOM, FLOOR], BLOCK_CAPACITY), jnp.int32),
+        position=jnp.asarray(rng.normal(size=(BLOCK_CAPACITY, 3)), jnp.float32),
+        edges=jnp.asarray(np.concatenate([inside | inside.T, across], axis=1)),
+        mask=jnp.arange(BLOCK_CAPACITY) < num_new,
+    )
+
+
+append = jax.jit(append_block)
+
+
+def on_device(graph, capacity=CAPACITY):
+    return jax.tree.map(jnp.asarray, pad(graph, capacity))
+
+
+def append_by_loop(graph, block):
+    """What append_block should do, on host graphs, one edge after the other."""
+    num_old, num_new = len(graph.nodes.label), int(block.mask.sum())
+    pairs = undirected_edges(graph, PART_OF).tolist()
+    for new in range(num_new):
+        for other in range(new):
+            if block.edges[new, other]:
+                pairs.append([num_old + new, num_old + other])
+        for old in range(num_old):
+            if block.edges[new, BLOCK_CAPACITY + old]:
+                pairs.append([num_old + new, old])
+    nothing = np.zeros(num_new)
+    return make_graph(
+        np.concatenate([graph.nodes.label, block.label[:num_new]]),
+        np.concatenate([graph.nodes.position, block.position[:num_new]]),
+        np.concatenate([graph.nodes.normal, nothing[:, None] * np.ones(3)]),
+        np.concatenate([graph.nodes.width, nothing]),
+        pairs,
+        undirected_edges(graph, PROXIMITY),
+    )
+
+
+def assert_same_graph(left, right):
+    chex.assert_trees_all_equal(left.nodes, right.nodes)
+    for relation in (PART_OF, PROXIMITY):
+        npt.assert_array_equal(undirected_edges(left, relation), undirected_edges(right, relation))
+
+
+@given(seed=st.integers(0, 2**32 - 1), num_nodes=st.integers(1, 12))
+@settings(deadline=None, max_examples=40)
+def test_unpadding_undoes_padding(seed, num_nodes):
+    graph = random_graph(seed, num_nodes)
+    assert_same_graph(unpad(pad(graph, Capacity(16, 160))), graph)
+
+
+def test_padding_is_zero_and_masked():
+    graph = random_graph(0)
+    padded = pad(graph, CAPACITY)
+    num_nodes, num_edges = len(graph.nodes.label), len(graph.senders)
+    for field in padded.nodes:
+        assert not np.any(field[num_nodes:])
+    assert not np.any(padded.edges.mask[num_edges:])
+    assert not np.any(padded.senders[num_edges:])
+    npt.assert_array_equal(padded.n_node, [num_nodes, CAPACITY.nodes - num_nodes])
+    assert padded.nodes.position.dtype == np.float32
+
+
+def test_a_graph_may_fill_its_capacity():
+    graph = random_graph(1)
+    exact = Capacity(len(graph.nodes.label), len(graph.senders))
+    assert_same_graph(unpad(pad(graph, exact)), graph)
+
+
+@pytest.mark.parametrize(("fewer_nodes", "fewer_edges"), [(1, 0), (0, 1)])
+def test_a_graph_that_does_not_fit_is_refused(fewer_nodes, fewer_edges):
+    graph = random_graph(1)
+    nodes, edges = len(graph.nodes.label) - fewer_nodes, len(graph.senders) - fewer_edges
+    with pytest.raises(ValueError, match="does not fit"):
+        pad(graph, Capacity(nodes, edges))
+
+
+@pytest.mark.parametrize("nodes", NODE_CAPACITIES)
+def test_bucket_holds_exactly_its_capacity(nodes):
+    assert bucket(nodes).nodes == nodes
+    assert bucket(nodes, EDGES_PER_NODE * nodes).nodes == nodes
+
+
+@pytest.mark.parametrize(("smaller", "larger"), [*pairwise(NODE_CAPACITIES)])
+def test_bucket_grows_by_one_node_or_edge_too_many(smaller, larger):
+    assert bucket(smaller + 1).nodes == larger
+    assert bucket(1, EDGES_PER_NODE * smaller + 1).nodes == larger
+
+
+@pytest.mark.parametrize("size", [(NODE_CAPACITIES[-1] + 1, 0), (1, 10**6)])
+def test_bucket_refuses_what_no_capacity_holds(size):
+    with pytest.raises(ValueError, match="exceeds the largest capacity"):
+        bucket(*size)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    num_old=st.integers(1, 9),
+    num_new=st.integers(0, BLOCK_CAPACITY),
+)
+@settings(deadline=None, max_examples=30)
+def test_appending_agrees_with_a_loop_over_pairs(seed, num_old, num_new):
+    graph = random_graph(seed, num_old)
+    block = random_block(seed + 1, num_new)
+    grown, fitted = append(on_device(graph), block)
+    expected = append_by_loop(graph, block)
+    assert bool(fitted)
+    assert_same_graph(unpad(grown), expected)
+    num_nodes, num_edges = num_old + num_new, len(expected.senders)
+    assert grown.n_node.tolist() == [num_nodes, CAPACITY.nodes - num_nodes]
+    assert grown.n_edge.tolist() == [num_edges, CAPACITY.edges - num_edges]
+
+
+def test_appending_leaves_old_nodes_bit_identical():
+    before = on_device(random_graph(5))
+    after, _ = append(before, random_block(6, 3))
+    for old, new in zip(before.nodes, after.nodes, strict=True):
+        npt.assert_array_equal(new[:9], old[:9])
+
+
+def test_blocks_can_be_appended_one_after_another():
+    graph = random_graph(7, 5)
+    expected, grown = graph, on_device(graph)
+    for seed in range(3):
+        block = random_block(seed, 2)
+        expected = append_by_loop(expected, block)
+        grown, fitted = append(grown, block)
+        assert bool(fitted)
+    assert_same_graph(unpad(grown), expected)
+
+
+def test_appending_reports_what_does_not_fit():
+    graph, block = random_graph(8), random_block(9, BLOCK_CAPACITY)
+    whole = append_by_loop(graph, block)
+    nodes, edges = len(whole.nodes.label), len(whole.senders)
+    for less in ((0, 0), (1, 0), (0, 1)):
+        capacity = Capacity(nodes - less[0], edges - less[1])
+        narrow = block._replace(edges=block.edges[:, : BLOCK_CAPACITY + capacity.nodes])
+        _, fitted = append(on_device(graph, capacity), narrow)
+        assert bool(fitted) == (less == (0, 0))
+
+
+def test_appending_a_batch_agrees_with_a_loop_and_compiles_once():
+    graphs = [random_graph(seed, 4 + seed) for seed in range(4)]
+    blocks = [random_block(seed, seed) for seed in range(4)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *blocks)
+    append_all = jax.jit(jax.vmap(chex.assert_max_traces(append_block, n=1)))
+    grown, fitted = append_all(stack(graphs, CAPACITY), stacked)
+    assert fitted.shape == (4,)
+    for index, (graph, block) in enumerate(zip(graphs, blocks, strict=True)):
+        one = jax.tree.map(lambda leaf, index=index: leaf[index], grown)
+        chex.assert_trees_all_equal(one, append(on_device(graph), block)[0])
+    append_all(stack(graphs[::-1], CAPACITY), stacked)
+
+
+def test_part_of_adjacency_is_the_dense_form_of_the_edges():
+    graph = random_graph(10)
+    adjacency = np.asarray(part_of_adjacency(on_device(graph)))
+    npt.assert_array_equal(np.argwhere(np.triu(adjacency)), undirected_edges(graph, PART_OF))
+    npt.assert_array_equal(adjacency, adjacency.T)
+
+
+def test_dropping_proximity_keeps_part_of_edges():
+    graph = random_graph(11)
+    kept = without_proximity(on_device(graph))
+    assert len(undirected_edges(graph, PROXIMITY)) > 0
+    assert len(undirected_edges(kept, PROXIMITY)) == 0
+    npt.assert_array_equal(undirected_edges(kept, PART_OF), undirected_edges(graph, PART_OF))
+
+
+def test_centre_of_planes_ignores_other_nodes():
+    graph = make_graph(
+        [PLANE, ROOM, PLANE], [[0, 0, 0], [9, 9, 9], [2, 4, 6]], np.zeros((3, 3)), np.ones(3), []
+    )
+    npt.assert_array_equal(centre_of_planes(graph), [1, 2, 3])

@@ -1,0 +1,236 @@
+import numpy as np
+import pytest
+
+from sg3d_jax.scene.concepts import FLOOR, PART_OF, PLANE, ROOM, WALL
+from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.padding import Capacity, pad
+from sg3d_jax.scene.validate import validate_graph, validate_planes
+
+WHERE = "scenes.npz: graph 3"
+
+
+def two_rooms():
+    """Two facing planes, their wall, a room each, and a floor."""
+    return make_graph(
+        label=[PLANE, PLANE, WALL, ROOM, ROOM, FLOOR],
+        position=[[1, 0, 0], [1.1, 0, 0], [1.05, 0, 0], [0, 0, 0], [2, 0, 0], [1, 0, 0]],
+        normal=[[-1, 0, 0], [1, 0, 0], *np.zeros((4, 3))],
+        width=[2, 2, 0, 0, 0, 0],
+        part_of=[[0, 2], [1, 2], [0, 3], [1, 4], [3, 5], [4, 5]],
+        proximity=[[0, 1]],
+    )
+
+
+def with_node(graph, **fields):
+    """Returns the graph with entries of node fields replaced: field=(index, value)."""
+    changed = {}
+    for name, (index, value) in fields.items():
+        changed[name] = np.array(getattr(graph.nodes, name))
+        changed[name][index] = value
+    return graph._replace(nodes=graph.nodes._replace(**changed))
+
+
+def with_pairs(*pairs):
+    """Returns the graph with part-of edges appended."""
+    graph = two_rooms()
+    return make_graph(
+        *graph.nodes[:4], part_of=[[0, 2], [1, 2], [0, 3], [1, 4], [3, 5], [4, 5], *pairs]
+    )
+
+
+def test_a_sound_graph_passes():
+    validate_graph(two_rooms(), WHERE)
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"position": ((4, 1), np.nan)}, r"nodes\[4\].position is \[2, nan, 0\], expected finite"),
+        ({"normal": (1, np.inf)}, r"nodes\[1\].normal is \[inf, inf, inf\], expected finite"),
+        ({"width": (0, np.nan)}, r"nodes\[0\].width is nan, expected finite"),
+        ({"label": (2, 6)}, r"nodes\[2\].label is 6, expected 0 to 5"),
+        ({"label": (2, -1)}, r"nodes\[2\].label is -1, expected 0 to 5"),
+        ({"normal": ((0, 0), -1.01)}, r"nodes\[0\].normal is \[-1.01, 0, 0\], expected length 1"),
+        ({"width": (1, -2)}, r"nodes\[1\].width is -2, expected zero metres or more"),
+        ({"width": (3, 1)}, r"nodes\[3\].width is 1, expected zero: only planes have one"),
+        ({"normal": (5, 1)}, r"nodes\[5\].normal is \[1, 1, 1\], expected zero: only planes"),
+    ],
+)
+def test_a_bad_node_is_named(fields, sentence):
+    with pytest.raises(ValueError, match=rf"^{WHERE}: {sentence}"):
+        validate_graph(with_node(two_rooms(), **fields), WHERE)
+
+
+@pytest.mark.parametrize(
+    ("pair", "sentence"),
+    [
+        ([3, 3], r"edge \[3, 3\] is a loop"),
+        ([3, 6], r"edge \[3, 6\] joins a missing node, expected 0 to 5"),
+        ([-1, 3], r"edge \[-1, 3\] joins a missing node"),
+        ([0, 2], r"edge \[0, 2\] is there twice"),
+        ([2, 0], r"edge \[0, 2\] is there twice"),
+    ],
+)
+def test_a_bad_edge_is_named(pair, sentence):
+    with pytest.raises(ValueError, match=rf"^{WHERE}: {sentence}"):
+        validate_graph(with_pairs(pair), WHERE, rules=False)
+
+
+@pytest.mark.parametrize("pair", [[0, 5], [2, 3], [3, 4], [2, 5], [0, 1]])
+def test_edges_outside_the_hierarchy_are_refused_only_by_the_rules(pair):
+    validate_graph(with_pairs(pair), WHERE, rules=False)
+    with pytest.raises(ValueError, match=rf"edge \[{pair[0]}, {pair[1]}\] joins .* as part_of"):
+        validate_graph(with_pairs(pair), WHERE)
+
+
+def test_proximity_of_other_things_than_planes_is_refused():
+    graph = two_rooms()
+    odd = make_graph(*graph.nodes[:4], part_of=[], proximity=[[0, 3]])
+    with pytest.raises(ValueError, match=r"joins plane and room as proximity, expected two planes"):
+        validate_graph(odd, WHERE)
+
+
+def test_an_edge_in_one_direction_only_is_refused():
+    graph = two_rooms()
+    senders, receivers = np.array(graph.senders), np.array(graph.receivers)
+    senders[-1], receivers[-1] = 0, 5
+    with pytest.raises(ValueError, match="has no opposite, expected both directions"):
+        validate_graph(graph._replace(senders=senders, receivers=receivers), WHERE)
+
+
+def test_an_unknown_relation_is_refused():
+    graph = two_rooms()
+    relation = np.where(graph.edges.relation == PART_OF, 2, graph.edges.relation)
+    with pytest.raises(ValueError, match="unknown relation"):
+        validate_graph(graph._replace(edges=graph.edges._replace(relation=relation)), WHERE)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("position", np.zeros((6, 2)), r"position has shape \[6, 2\], expected \[6, 3\]"),
+        ("normal", np.zeros((5, 3)), r"normal has shape \[5, 3\], expected \[6, 3\]"),
+        ("width", np.zeros((6, 1)), r"width has shape \[6, 1\], expected \[6\]"),
+        ("mask", np.ones(7, bool), r"mask has shape \[7\], expected \[6\]"),
+        ("label", np.zeros(6), r"label is float64, expected integers"),
+    ],
+)
+def test_a_wrong_shape_or_type_is_named(name, value, sentence):
+    graph = two_rooms()
+    broken = graph._replace(nodes=graph.nodes._replace(**{name: value}))
+    with pytest.raises(ValueError, match=rf"^{WHERE}: {sentence}"):
+        validate_graph(broken, WHERE)
+
+
+def test_counts_must_agree():
+    with pytest.raises(ValueError, match=r"n_edge is \[4\], expected \[14\]"):
+        validate_graph(two_rooms()._replace(n_edge=np.array([4])), WHERE)
+
+
+def test_a_padded_graph_is_refused():
+    with pytest.raises(ValueError, match=r"n_node is \[6, 2\], expected \[8\]"):
+        validate_graph(pad(two_rooms(), Capacity(8, 32)), WHERE)
+
+
+def test_an_empty_graph_is_refused():
+    empty = make_graph([], [], [], [], part_of=[])
+    with pytest.raises(ValueError, match="nodes is empty"):
+        validate_graph(empty, WHERE)
+
+
+def corridor():
+    """Centroid, normal and width of three planes, metres."""
+    position = np.array([[0, 1, 0], [0, -1, 0], [4, 0, 0.0]])
+    normal = np.array([[0, -1, 0], [0, 1, 0], [-1, 0, 0.0]])
+    return position, normal, np.array([8, 8, 2.0])
+
+
+def refusal(position, normal, width):
+    with pytest.raises(ValueError, match=r"^planes\.json: ") as caught:
+        validate_planes(position, normal, width, "planes.json")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "expected" in message
+    return message
+
+
+def test_sound_planes_pass():
+    validate_planes(*corridor(), "planes.json")
+
+
+def test_normals_rounded_to_two_decimals_pass():
+    position, _, width = corridor()
+    validate_planes(position, np.array([[0.71, 0.71, 0.0]] * 3), width, "planes.json")
+
+
+def test_two_sides_of_one_thin_wall_pass():
+    _, normal, _ = corridor()
+    validate_planes(np.zeros((2, 3)), normal[:2], np.ones(2), "planes.json")
+
+
+@pytest.mark.parametrize(("count", "held"), [(0, "no planes"), (1, "one plane")])
+def test_too_few_planes_are_refused(count, held):
+    message = refusal(*(field[:count] for field in corridor()))
+    assert f"planes holds {held}, expected at least two" in message
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(("field", "name"), [(0, "centroid"), (1, "normal"), (2, "width")])
+def test_non_finite_numbers_are_named(field, name, value):
+    planes = [np.array(array) for array in corridor()]
+    planes[field][2] = value
+    assert f"planes[2].{name} is " in refusal(*planes)
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.9, 1.1, 1e200])
+def test_normals_that_are_not_unit_are_refused(scale):
+    position, normal, width = corridor()
+    normal[1] *= scale
+    assert "planes[1].normal is [0, " in refusal(position, normal, width)
+
+
+@pytest.mark.parametrize("normal", [[0, 0, 1], [0, 0, -1], [0.6, 0, 0.8], [0.995, 0, 0.1]])
+def test_normals_that_are_not_horizontal_are_refused(normal):
+    position, normals, width = corridor()
+    normals[2] = normal
+    assert "expected |z| <= 0.05, as of vertical planes" in refusal(position, normals, width)
+
+
+@pytest.mark.parametrize("width", [0.0, -1.0])
+def test_widths_must_be_positive(width):
+    position, normal, widths = corridor()
+    widths[1] = width
+    assert f"planes[1].width is {width:g}, expected more than zero" in refusal(
+        position, normal, widths
+    )
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-9])
+def test_duplicate_planes_are_refused(shift):
+    position, normal, width = (np.concatenate([field, field[1:2]]) for field in corridor())
+    message = refusal(position + shift * np.arange(4)[:, None], normal, width)
+    assert "planes[3] repeats planes[1]" in message
+
+
+def test_negative_zero_is_zero():
+    position, normal, width = (field[[0, 1, 0]] for field in corridor())
+    normal[2] = [-0.0, -1.0, -0.0]
+    assert "planes[2] repeats planes[0]" in refusal(position, normal, width)
+
+
+@pytest.mark.parametrize(("of_position", "of_width"), [(1000, 1000), (1000, 1), (1, 1000)])
+def test_millimetres_are_recognised(of_position, of_width):
+    position, normal, width = corridor()
+    assert "looks like millimetres" in refusal(position * of_position, normal, width * of_width)
+
+
+def test_a_building_far_from_the_origin_passes():
+    position, normal, width = corridor()
+    validate_planes(position + np.array([5e5, 4.6e6, 100.0]), normal, width, "planes.json")
+
+
+@pytest.mark.parametrize("field", [0, 1, 2])
+def test_a_field_of_another_length_is_refused(field):
+    planes = list(corridor())
+    planes[field] = planes[field][:2]
+    assert "has shape" in refusal(*planes)
