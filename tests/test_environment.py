@@ -135,7 +135,7 @@ def test_command__says_that_python_is_missing(tmp_path: Path) -> None:
 
 def test_command__leaves_a_folder_alone_that_is_no_environment(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
-    result = _run_command(SG3D_PYTHON=sys.executable, SG3D_VENV=str(tmp_path))
+    result = _run_command(SG3D_VENV=str(tmp_path))
     assert result.returncode == 1
     assert "is no environment with Python 3.11 or newer" in result.stderr
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
