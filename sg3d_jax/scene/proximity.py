@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sg3d_jax.scene.concepts import PLANE, PROXIMITY
+from sg3d_jax.scene.concepts import PART_OF, PLANE, PROXIMITY
 from sg3d_jax.scene.graph import Edges, SceneGraph
 
 NEIGHBOURS = 10
@@ -41,27 +41,35 @@ def nearest_neighbours(
 
 
 def connect_planes(graph: SceneGraph, k: int = NEIGHBOURS) -> SceneGraph:
-    """Replaces the edges of a padded graph by the proximity edges of its planes.
+    """Gives a padded graph the proximity edges of its planes, in place of any it had.
 
     Args:
       graph: padded, `N` nodes and `E` edges of capacity. Padding stays padding.
       k: neighbours a plane.
 
     Returns:
-      The same nodes with both directions of every proximity edge in the first edge slots. Edges
-      that do not fit in `E` are lost: `n_edge[0]` then exceeds `E`, which host callers check.
+      The same nodes; in the first edge slots both directions of every proximity edge, then the
+      part-of edges of `graph`. Edges that do not fit in `E` are lost: `n_edge[0]` then exceeds `E`,
+      which callers on the host check.
 
     Source: paper, Sec. "Initializing the plane graph".
     """
-    nodes = graph.nodes
+    nodes, edges = graph.nodes, graph.edges
     adjacency = nearest_neighbours(nodes.position, nodes.mask & (nodes.label == PLANE), k)
-    capacity = graph.senders.shape[0]
+    capacity = edges.mask.shape[0]
     senders, receivers = jnp.nonzero(adjacency, size=capacity, fill_value=0)
-    count = jnp.sum(adjacency, dtype=jnp.int32)
-    mask = jnp.arange(capacity) < count
+    is_near = jnp.arange(capacity) < jnp.sum(adjacency)
+    is_part = edges.mask & (edges.relation == PART_OF)
+    mask = jnp.concatenate([is_near, is_part])
+    chosen = jnp.argsort(~mask)[:capacity]  # stable: real edges first, in their order
+
+    def pick(near: Array, part: Array) -> Array:
+        return jnp.where(mask[chosen], jnp.concatenate([near, part])[chosen], 0).astype(jnp.int32)
+
+    count = jnp.sum(adjacency, dtype=jnp.int32) + jnp.sum(is_part, dtype=jnp.int32)
     return graph._replace(
-        edges=Edges(relation=jnp.full(capacity, PROXIMITY, jnp.int32), mask=mask),
-        senders=senders.astype(jnp.int32),
-        receivers=receivers.astype(jnp.int32),
+        edges=Edges(pick(jnp.full_like(senders, PROXIMITY), edges.relation), mask[chosen]),
+        senders=pick(senders, graph.senders),
+        receivers=pick(receivers, graph.receivers),
         n_edge=jnp.stack([count, capacity - count]),
     )

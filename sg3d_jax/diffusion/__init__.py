@@ -1,0 +1,1 @@
+"""Noise schedules and the two diffusion processes; no networks here."""

@@ -1,0 +1,170 @@
+"""Growing whole graphs from planes: the FLAGG loop, compiled and mapped over scenes.
+
+planes -> proximity graph -> [insert -> fill -> append block -> halt]* -> drop proximity edges.
+
+Source: paper, Eq. (flagg_full) and Sec. "Generating 3DSGs".
+"""
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int, Key
+
+from sg3d_jax.flagg.step import Flagg, Params, grow
+from sg3d_jax.scene.graph import SceneGraph, planes_of
+from sg3d_jax.scene.padding import (
+    Capacity,
+    bucket,
+    centre_of_planes,
+    stack,
+    unpad,
+    without_proximity,
+)
+from sg3d_jax.scene.proximity import connect_planes
+
+HALT_REASONS = ("RUNNING", "HALTED", "CAPACITY", "MAX_STEPS")
+RUNNING, HALTED, CAPACITY, MAX_STEPS = range(len(HALT_REASONS))
+BATCH = 32  # scenes grown together; a constant, so that there is one compilation a bucket
+
+
+class Grown(NamedTuple):
+    """A grown graph and why growing ended; on the device, padded."""
+
+    graph: SceneGraph
+    halt_reason: Array  # int32[], index into HALT_REASONS
+    steps: Array  # int32[], blocks inserted
+
+
+def grow_from_planes(
+    model: Flagg, params: Params, key: Key[Array, ""], planes: SceneGraph, max_steps: int = 1000
+) -> Grown:
+    """Grows a complete scene graph from observed planes.
+
+    Args:
+      model: the three modules.
+      params: their parameters.
+      key: one key a sample; the same key and planes give the same graph in any batch.
+      planes: padded, with room for what is to come; edges are ignored. `vmap` over scenes.
+      max_steps: a limit on the number of blocks.
+
+    Returns:
+      The graph without proximity edges. The planes are as given, bit for bit.
+
+    Source: paper, Sec. "Generating 3DSGs".
+    """
+    start = Grown(connect_planes(planes), jnp.asarray(RUNNING), jnp.asarray(0))
+
+    def running(state: Grown) -> Bool[Array, ""]:
+        return state.halt_reason == RUNNING
+
+    def step(state: Grown) -> Grown:
+        grown = grow(model, params, jax.random.fold_in(key, state.steps), state.graph)
+        steps = state.steps + grown.fits
+        reason = jnp.where(steps >= max_steps, MAX_STEPS, RUNNING)
+        reason = jnp.where(grown.halted, HALTED, reason)
+        return Grown(grown.graph, jnp.where(grown.fits, reason, CAPACITY), steps)
+
+    final = jax.lax.while_loop(running, step, start)
+    return final._replace(graph=without_proximity(final.graph))
+
+
+def sample_keys(seed: int, indices: Int[Array, " B"]) -> Key[Array, " B"]:
+    """Returns one key a sample, folded from its index, so that batching changes nothing."""
+    return jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), indices)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 4))
+def grow_batch(
+    model: Flagg, params: Params, keys: Key[Array, " B"], planes: SceneGraph, max_steps: int
+) -> Grown:
+    """Grows a batch of stacked scenes: `grow_from_planes`, vmapped and compiled."""
+
+    def one(key: Key[Array, ""], planes: SceneGraph) -> Grown:
+        return grow_from_planes(model, params, key, planes, max_steps)
+
+    return jax.vmap(one)(keys, planes)
+
+
+def growth_capacity(num_planes: int) -> Capacity:
+    """Returns the bucket in which a scene grows: room for as many new nodes as planes, and six.
+
+    The floors of the benchmark need 0.6 new nodes a plane, with at most 0.9 in any of them but the
+    smallest.
+    """
+    return bucket(2 * num_planes + 6)
+
+
+class Completion(NamedTuple):
+    """A grown graph on the host."""
+
+    graph: SceneGraph  # unpadded, float64; its planes are the observed ones, bit for bit
+    halt_reason: str  # one of HALT_REASONS
+    steps: int  # blocks inserted
+
+
+def complete(
+    model: Flagg,
+    params: Params,
+    scenes: Sequence[SceneGraph],
+    seed: int = 0,
+    samples: int = 1,
+    max_steps: int = 1000,
+) -> list[list[Completion]]:
+    """Grows scene graphs from the planes of host graphs, in compiled batches.
+
+    Args:
+      model: the three modules.
+      params: their parameters.
+      scenes: host graphs; everything but their planes is ignored.
+      seed: with the position of a scene in `scenes`, fixes its samples.
+      samples: graphs a scene.
+      max_steps: a limit on the number of blocks.
+
+    Returns:
+      For every scene, in order, its samples.
+    """
+    observed = [planes_of(scene) for scene in scenes]
+    centres = [centre_of_planes(planes) for planes in observed]
+    jobs = [(index, sample) for index in range(len(scenes)) for sample in range(samples)]
+    sizes = [growth_capacity(len(observed[index].nodes.label)) for index, _ in jobs]
+    results: list[list[Completion]] = [[] for _ in scenes]
+    finished: dict[int, Completion] = {}
+    for capacity in sorted(set(sizes)):
+        members = [job for job, size in enumerate(sizes) if size == capacity]
+        members.sort(key=lambda job: len(observed[jobs[job][0]].nodes.label))
+        for first in range(0, len(members), BATCH):
+            chosen = members[first : first + BATCH]
+            padded = chosen + chosen[-1:] * (BATCH - len(chosen))
+            centred = [_shift(observed[jobs[job][0]], -centres[jobs[job][0]]) for job in padded]
+            keys = sample_keys(seed, jnp.asarray(padded, jnp.uint32))
+            grown = grow_batch(model, params, keys, stack(centred, capacity), max_steps)
+            grown = jax.tree.map(np.asarray, grown)
+            for lane, job in enumerate(chosen):
+                index = jobs[job][0]
+                one = jax.tree.map(lambda leaf, lane=lane: leaf[lane], grown)
+                finished[job] = _on_host(one, observed[index], centres[index])
+    for job, (index, _) in enumerate(jobs):
+        results[index].append(finished[job])
+    return results
+
+
+def _shift(graph: SceneGraph, offset: np.ndarray) -> SceneGraph:
+    """Moves a host graph; near the origin float32 resolves micrometres."""
+    return graph._replace(nodes=graph.nodes._replace(position=graph.nodes.position + offset[None]))
+
+
+def _on_host(grown: Grown, observed: SceneGraph, centre: np.ndarray) -> Completion:
+    """Unpads a grown graph, moves it back, and restores the observed planes exactly."""
+    graph = _shift(unpad(grown.graph), centre)
+    num_planes = len(observed.nodes.label)
+
+    def restore(observed_rows: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return np.concatenate([observed_rows, rows[num_planes:]])
+
+    nodes = jax.tree.map(restore, observed.nodes, graph.nodes)
+    reason = HALT_REASONS[int(grown.halt_reason)]
+    return Completion(graph._replace(nodes=nodes), reason, int(grown.steps))

@@ -1,0 +1,1 @@
+"""Flax linen modules; the only place where flax is imported."""

@@ -1,0 +1,1 @@
+"""Training: configuration, one pure step, the loop around it, checkpoints, logs."""

@@ -1,0 +1,92 @@
+"""The training state and one pure training step, scanned several times a compiled call."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Key
+
+from sg3d_jax.flagg import step as flagg
+from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.train.config import Config
+
+
+class TrainState(NamedTuple):
+    """Everything that a run carries from step to step."""
+
+    params: flagg.Params
+    average: flagg.Params  # exponential moving average of params
+    optimiser: Any
+    step: Array  # int32[]
+
+
+Metrics = dict[str, Float[Array, ""]]
+TrainCall = Callable[[TrainState, Key[Array, ""], SceneGraph], tuple[TrainState, Metrics]]
+
+
+def make_optimiser(config: Config) -> optax.GradientTransformation:
+    """Builds AdamW with warm-up, cosine decay to zero over the run, and clipping by global norm."""
+    settings = config.optimiser
+    rate = optax.warmup_cosine_decay_schedule(
+        0.0, settings.learning_rate, settings.warmup_steps, config.steps
+    )
+    return optax.chain(
+        optax.clip_by_global_norm(settings.clip_norm),
+        optax.adamw(rate, weight_decay=settings.weight_decay),
+    )
+
+
+def init_state(config: Config, model: flagg.Flagg, graph: SceneGraph) -> TrainState:
+    """Draws the initial state from the run's seed; `graph` is any padded graph."""
+    params = flagg.init(model, jax.random.key(config.seed), graph)
+    optimiser = make_optimiser(config).init(params)
+    return TrainState(params, params, optimiser, jnp.zeros((), jnp.int32))
+
+
+def make_train_call(config: Config, model: flagg.Flagg) -> TrainCall:
+    """Builds the compiled function that runs `steps_per_call` training steps on one bucket.
+
+    Returns:
+      (state, key, graphs) -> (state, metrics): `graphs` is one stack of padded graphs; each step
+      draws a batch of them and everything else from `key` and the state's step, so a run is a pure
+      function of its configuration. Metrics are means over the call.
+    """
+    optimiser = make_optimiser(config)
+
+    def batch_loss(
+        params: flagg.Params, key: Key[Array, ""], graphs: SceneGraph
+    ) -> tuple[Float[Array, ""], Metrics]:
+        def one(key: Key[Array, ""], graph: SceneGraph) -> tuple[Float[Array, ""], Metrics]:
+            return flagg.loss(model, params, key, graph)
+
+        keys = jax.random.split(key, config.batch)
+        losses, terms = jax.vmap(one)(keys, graphs)
+        return jnp.mean(losses), jax.tree.map(jnp.mean, terms)
+
+    def train_step(state: TrainState, key: Key[Array, ""], graphs: SceneGraph) -> Any:
+        key_index, key_loss = jax.random.split(jax.random.fold_in(key, state.step))
+        num_graphs = graphs.n_node.shape[0]
+        indices = jax.random.randint(key_index, (config.batch,), 0, num_graphs)
+        batch = jax.tree.map(lambda leaf: leaf[indices], graphs)
+        value_and_grad = jax.value_and_grad(batch_loss, has_aux=True)
+        (loss, terms), gradient = value_and_grad(state.params, key_loss, batch)
+        updates, optimiser_state = optimiser.update(gradient, state.optimiser, state.params)
+        params = optax.apply_updates(state.params, updates)
+        decay = jnp.minimum(config.optimiser.ema_decay, (1 + state.step) / (10 + state.step))
+        average = optax.incremental_update(params, state.average, 1 - decay)
+        metrics = {"loss": loss, **terms, "gradient_norm": optax.global_norm(gradient)}
+        return TrainState(params, average, optimiser_state, state.step + 1), metrics
+
+    @jax.jit
+    def train_call(
+        state: TrainState, key: Key[Array, ""], graphs: SceneGraph
+    ) -> tuple[TrainState, Metrics]:
+        def body(state: TrainState, _: None) -> tuple[TrainState, Metrics]:
+            return train_step(state, key, graphs)
+
+        state, metrics = jax.lax.scan(body, state, None, length=config.steps_per_call)
+        return state, jax.tree.map(jnp.mean, metrics)
+
+    return train_call
