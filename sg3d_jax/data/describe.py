@@ -6,6 +6,7 @@ of the planes, so both are given with and without them.
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ from sg3d_jax.scene.proximity import nearest_neighbours
 Summary = dict[str, float]
 
 
-def describe(graphs: Sequence[SceneGraph]) -> dict[str, object]:
+def describe(graphs: Sequence[SceneGraph]) -> dict[str, Any]:
     """Returns statistics of host graphs, as JSON values.
 
     Args:

@@ -106,7 +106,7 @@ def _concatenate(graphs: Sequence[SceneGraph]) -> Arrays:
     parts["edges"] = [pair for of_graph in pairs for pair in of_graph]
     parts["relation"] = [np.repeat(kinds, of_graph) for of_graph in counts]
     return {
-        name: np.concatenate([np.zeros((0, *row)), *parts[name]]).astype(dtype)
+        name: np.concatenate([np.zeros((0, *row), dtype), *parts[name]]).astype(dtype)
         for name, (dtype, row) in FIELDS.items()
     }
 
@@ -116,7 +116,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise ValueError(f"{path}: no such file")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if damaged := archive.zip.testzip():
                 raise ValueError(f"the checksum of {damaged} is wrong")
             return {name: archive[name] for name in archive.files}
