@@ -59,12 +59,11 @@ class Problem(NamedTuple):
 
 
 class Search(NamedTuple):
-    """A Frank-Wolfe iterate and the vertex that it moves towards next."""
+    """A Frank-Wolfe iterate."""
 
     plan: Float[Array, "N N"]
     structure: Float[Array, "N N"]  # sum_kl P_kl |a_ik - b_jl|
-    columns: Int[Array, " N"]  # the vertex, as an assignment
-    gap: Float[Array, ""]  # bounds how much a convex objective could still fall
+    gap: Float[Array, ""]  # of the plan before; zero where no direction led downhill
     iterations: Int[Array, ""]
 
 
@@ -240,33 +239,35 @@ def _solve(problem: Problem, alpha: Scalar) -> Search:
     Every vertex of the set of plans is an assignment. With few exceptions the search ends at one,
     after two or three steps.
     """
-    size = problem.size
-    mass = 1.0 / jnp.maximum(size, 1).astype(jnp.float32)
-    occupied = jnp.arange(problem.features.shape[0]) < size
-
-    def aim(plan: Array, structure: Array, iterations: Array) -> Search:
-        gradient = (1 - alpha) * problem.features + 2 * alpha * structure
-        columns = assign(gradient, size)
-        vertex = _vertex(columns, occupied, mass)
-        gap = jnp.sum(gradient * (plan - vertex))
-        return Search(plan, structure, columns, gap, iterations)
+    occupied = jnp.arange(problem.features.shape[0]) < problem.size
+    mass = 1.0 / jnp.maximum(problem.size, 1).astype(jnp.float32)
 
     def step(search: Search) -> Search:
-        vertex = _vertex(search.columns, occupied, mass)
-        structure = _structure_at_assignment(problem, search.columns, mass)
+        gradient = (1 - alpha) * problem.features + 2 * alpha * search.structure
+        columns = assign(gradient, problem.size)
+        vertex = _vertex(columns, occupied, mass)
+        structure = _structure_at_assignment(problem, columns, mass)
+        gap = jnp.sum(gradient * (search.plan - vertex))
         curvature = alpha * jnp.sum((structure - search.structure) * (vertex - search.plan))
         # The objective along the step is curvature t^2 - gap t, on 0 <= t <= 1.
-        inner = jnp.clip(search.gap / (2 * jnp.where(curvature > 0, curvature, 1.0)), 0.0, 1.0)
+        inner = jnp.clip(gap / (2 * jnp.where(curvature > 0, curvature, 1.0)), 0.0, 1.0)
         t = jnp.where(curvature > 0, inner, 1.0)
-        plan = (1 - t) * search.plan + t * vertex
-        structure = (1 - t) * search.structure + t * structure
-        return aim(plan, structure, search.iterations + 1)
+        return Search(
+            plan=(1 - t) * search.plan + t * vertex,
+            structure=(1 - t) * search.structure + t * structure,
+            gap=gap,
+            iterations=search.iterations + 1,
+        )
 
     def unfinished(search: Search) -> Bool[Array, ""]:
         return (search.gap > TOLERANCE) & (search.iterations < MAX_ITERATIONS)
 
-    product = jnp.where(occupied[:, None] & occupied[None, :], mass * mass, 0.0)
-    start = aim(product, _structure_at_product(problem, mass), jnp.array(0, jnp.int32))
+    start = Search(
+        plan=jnp.where(occupied[:, None] & occupied[None, :], mass * mass, 0.0),
+        structure=_structure_at_product(problem, mass),
+        gap=jnp.array(jnp.inf, jnp.float32),
+        iterations=jnp.array(0, jnp.int32),
+    )
     return jax.lax.while_loop(unfinished, step, start)
 
 
