@@ -79,9 +79,13 @@ def _augment(cost: Float[Array, "N N"], matching: Matching, row: Int[Array, ""])
     distance = cost[row] - price
     unvisited = jnp.zeros(columns.shape, bool)
     start = distance, jnp.full(columns.shape, row), unvisited, *_nearest(distance, unvisited)
-    distance, through, visited, sink, nearest = jax.lax.while_loop(
-        lambda state: needed & (row_of[state[3]] != FREE), visit, start
-    )
+
+    # A column at no finite distance ends the search too: costs that are not numbers must not hang.
+    def continues(state: tuple) -> Bool[Array, ""]:
+        *_, column, nearest = state
+        return needed & (row_of[column] != FREE) & (nearest < jnp.inf)
+
+    distance, through, visited, sink, nearest = jax.lax.while_loop(continues, visit, start)
     price = jnp.where(visited, price + distance - nearest, price)
 
     def swap(state: tuple) -> tuple:

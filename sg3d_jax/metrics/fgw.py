@@ -229,8 +229,8 @@ def _with_dummies(
 def _norm(vector: Float[Array, "*rows F"]) -> Float[Array, "*rows"]:
     """Returns Euclidean norms whose gradient at zero is zero, not NaN."""
     squared = jnp.sum(vector**2, axis=-1)
-    positive = squared > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+    zero = squared == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, squared)))
 
 
 def _solve(problem: Problem, alpha: Scalar) -> Search:

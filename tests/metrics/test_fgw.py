@@ -296,3 +296,15 @@ def test_gradient__of_the_positions_is_that_of_finite_differences(pairs):
 def test_lists_that_do_not_pair_up_are_refused(pairs):
     with pytest.raises(ValueError, match="11 generated graphs cannot be paired with 10"):
         fgw_pairs(pairs[0], pairs[1][:-1])
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf, 1e30])
+def test_positions_that_are_no_numbers__give_nan_for_their_pair_alone(pairs, broken):
+    generated, truth = (list(side) for side in pairs)
+    position = generated[2].nodes.position.copy()
+    position[-3:] = broken
+    generated[2] = placed(generated[2], position)
+    scores, expected = fgw_pairs(generated, truth), fgw_pairs(*pairs).value.copy()
+    expected[2] = np.nan
+    np.testing.assert_array_equal(scores.value, expected)
+    assert not scores.converged[2]
