@@ -62,7 +62,7 @@ CASES = {
     "a plane outside its room": (
         LABEL,
         [*WALL_EDGES, *FIRST_ROOM[1:], *SECOND_ROOM, *FLOOR_EDGES],
-        {"room with wrong planes": 1, "plane without room": 1},
+        {"room with wrong planes": 1},
     ),
     "room without floor": (LABEL, EDGES[:-1], {"room without floor": 1}),
     "extra floor": (
