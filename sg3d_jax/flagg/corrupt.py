@@ -97,7 +97,11 @@ def _with_edges(
     relation = jnp.full(2 * senders.shape[0], PART_OF, jnp.int32)
     return graph._replace(
         edges=Edges(jnp.concatenate([graph.edges.relation, relation]), mask),
-        senders=jnp.concatenate([graph.senders, senders.astype(jnp.int32), receivers.astype(jnp.int32)]),
-        receivers=jnp.concatenate([graph.receivers, receivers.astype(jnp.int32), senders.astype(jnp.int32)]),
+        senders=jnp.concatenate(
+            [graph.senders, senders.astype(jnp.int32), receivers.astype(jnp.int32)]
+        ),
+        receivers=jnp.concatenate(
+            [graph.receivers, receivers.astype(jnp.int32), senders.astype(jnp.int32)]
+        ),
         n_edge=jnp.stack([num_edges, mask.shape[0] - num_edges]),
     )

@@ -1,0 +1,56 @@
+"""Checkpoints of a run: the latest, to go on from, and the best by validation FGW, to use.
+
+The only file that knows orbax. Its `best_fn` with `max_to_keep` deletes the newest checkpoint (orbax
+issue 526), so both are kept by name here.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+from orbax.checkpoint import v1 as ocp
+
+from sg3d_jax.train.step import TrainState
+
+
+class Checkpoints(NamedTuple):
+    """The open checkpoints of one run."""
+
+    manager: ocp.training.Checkpointer
+
+
+def open_checkpoints(directory: Path) -> Checkpoints:
+    """Opens, or begins, the checkpoints of a run."""
+    policies = ocp.training.preservation_policies
+    best = policies.BestN(n=1, get_metric_fn=lambda metrics: metrics["fgw"], reverse=True)
+    keep = policies.AnyPreservationPolicy([policies.LatestN(1), best])
+    return Checkpoints(ocp.training.Checkpointer(directory.resolve(), preservation_policy=keep))
+
+
+def save(checkpoints: Checkpoints, state: TrainState, fgw: float) -> None:
+    """Saves the state under its step; orbax writes to a temporary name and renames."""
+    checkpoints.manager.save_checkpointables(
+        int(state.step), {"state": state}, metrics={"fgw": fgw}
+    )
+
+
+def steps(checkpoints: Checkpoints) -> list[tuple[int, float]]:
+    """Returns step and validation FGW of what is kept, oldest first."""
+    return [(kept.step, kept.metrics["fgw"]) for kept in checkpoints.manager.checkpoints]
+
+
+def restore(checkpoints: Checkpoints, template: TrainState, step: int) -> TrainState:
+    """Loads the state of one step.
+
+    Args:
+      template: a state of the same shapes; its values do not matter.
+    """
+    abstract = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding), template
+    )
+    return checkpoints.manager.load_checkpointables(step, {"state": abstract})["state"]
+
+
+def close(checkpoints: Checkpoints) -> None:
+    """Waits for pending writes and closes."""
+    checkpoints.manager.close()

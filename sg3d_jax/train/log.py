@@ -1,0 +1,80 @@
+"""What a run says of itself: JSON lines, TensorBoard if it is installed, a line on the terminal."""
+
+import contextlib
+import importlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+class Writer(Protocol):
+    """Somewhere that scalars go."""
+
+    def __call__(self, kind: str, step: int, values: dict[str, float]) -> None:
+        """Records the values of one step under a kind, such as "train" or "validation"."""
+
+
+class JsonLines(NamedTuple):
+    """Appends one JSON object a record to a file: greppable, and whole after a crash."""
+
+    path: Path
+    started: float
+
+    def __call__(self, kind: str, step: int, values: dict[str, float]) -> None:
+        """Appends the record, with the seconds since this process began."""
+        seconds = round(time.time() - self.started, 1)
+        record = {"kind": kind, "step": step, "seconds": seconds, **values}
+        with self.path.open("a") as file:
+            file.write(json.dumps(record) + "\n")
+
+
+class TensorBoard(NamedTuple):
+    """Writes to a tensorboardX summary writer."""
+
+    summary: Any
+
+    def __call__(self, kind: str, step: int, values: dict[str, float]) -> None:
+        """Adds every value as a scalar named kind/name."""
+        for name, value in values.items():
+            self.summary.add_scalar(f"{kind}/{name}", value, step)
+
+
+def writers(directory: Path) -> list[Writer]:
+    """Returns the writers of a run directory: log.jsonl always, TensorBoard if at hand."""
+    chosen: list[Writer] = [JsonLines(directory / "log.jsonl", time.time())]
+    with contextlib.suppress(ImportError):
+        tensorboard = importlib.import_module("tensorboardX")
+        chosen.append(TensorBoard(tensorboard.SummaryWriter(str(directory / "tensorboard"))))
+    return chosen
+
+
+class Display(NamedTuple):
+    """The progress of a run on the terminal."""
+
+    progress: Progress
+    task: Any
+
+    def advance(self, step: int, text: str) -> None:
+        """Moves the bar to a step; off a terminal, prints one line instead."""
+        self.progress.update(self.task, completed=step, text=text)
+        if not self.progress.console.is_terminal:
+            self.progress.console.print(f"step {step}  {text}", soft_wrap=True)
+
+
+@contextlib.contextmanager
+def display(num_steps: int, step: int) -> Iterator[Display]:
+    """Shows a bar with rate and remaining time on stderr, or plain lines off a terminal."""
+    console = Console(stderr=True)
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        yield Display(progress, progress.add_task("", total=num_steps, completed=step, text=""))

@@ -1,0 +1,148 @@
+"""A run: data, steps, validation by sampling, checkpoints, logs.
+
+A run is a pure function of its configuration: data, parameters, the order of the buckets and every
+draw follow from its seeds and the step, so a resumed run continues bit for bit.
+"""
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.flagg.sample import complete
+from sg3d_jax.flagg.step import Flagg, Params
+from sg3d_jax.interop.files import replacing
+from sg3d_jax.metrics.report import score
+from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.train import checkpoint
+from sg3d_jax.train.config import Config, to_json
+from sg3d_jax.train.dataset import load_split, stack_by_size, statistics_of
+from sg3d_jax.train.log import display, writers
+from sg3d_jax.train.step import TrainState, init_state, make_train_call
+from sg3d_jax.train.weights import build_model, save_weights
+
+
+class Run(NamedTuple):
+    """What stays the same throughout a run."""
+
+    config: Config
+    model: Flagg
+    statistics: Statistics
+    stacks: list[SceneGraph]  # training graphs by size
+    validation: list[SceneGraph]  # host graphs
+
+
+def prepare(config: Config) -> Run:
+    """Makes or reads the data and builds the model."""
+    stacks = stack_by_size(load_split(config.data, "train"), config.capacities)
+    statistics = statistics_of(config.flagg, stacks)
+    validation = load_split(config.data, "validation")[: config.validation_graphs]
+    return Run(config, build_model(config, statistics), statistics, stacks, validation)
+
+
+def bucket_of_call(config: Config, stacks: Sequence[SceneGraph], call: int) -> int:
+    """Draws the bucket of one compiled call, in proportion to its graphs, from seed and call."""
+    sizes = np.array([stack.n_node.shape[0] for stack in stacks])
+    return int(np.random.default_rng([config.seed, call]).choice(len(sizes), p=sizes / sizes.sum()))
+
+
+def validate(run: Run, params: Params) -> dict[str, float]:
+    """Grows the validation scenes and scores them: means of FGW, GW, W, exact structures."""
+    completions = complete(run.model, params, run.validation, run.config.validation_seed)
+    report = score([samples[0].graph for samples in completions], run.validation)
+    halted = np.mean([samples[0].halt_reason == "HALTED" for samples in completions])
+    chosen = {name: float(report[name]) for name in ("fgw", "gw", "w", "exact_structure")}
+    chosen["fgw"] = (
+        chosen["fgw"] if np.isfinite(chosen["fgw"]) else np.inf
+    )  # the worst, not the best
+    return {**chosen, "halted": float(halted)}
+
+
+def train(config: Config, directory: str | Path) -> Path:
+    """Trains, or goes on training, in a run directory.
+
+    Args:
+      config: the run. A directory that already holds a run must hold this one.
+      directory: gets config.json, log.jsonl, checkpoints/ and, at the end, weights.npz.
+
+    Returns:
+      The path of the weights: the averaged parameters of the best validation FGW.
+
+    Raises:
+      ValueError: the directory holds a run of another configuration.
+      FloatingPointError: the loss is not finite; the last good checkpoint stays.
+    """
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    _claim(directory, config)
+    run = prepare(config)
+    template = init_state(config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
+    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
+    try:
+        kept = checkpoint.steps(checkpoints)
+        state = checkpoint.restore(checkpoints, template, kept[-1][0]) if kept else template
+        _run(run, state, checkpoints, directory)
+        best = min(checkpoint.steps(checkpoints), key=lambda step_and_fgw: step_and_fgw[1])[0]
+        params = checkpoint.restore(checkpoints, template, best).average
+    finally:
+        checkpoint.close(checkpoints)
+    return save_weights(directory / "weights.npz", config, run.statistics, params)
+
+
+def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, directory: Path) -> None:
+    """Trains from a state to the end, validating and saving on the way."""
+    config = run.config
+    train_call = make_train_call(config, run.model)
+    record = writers(directory)
+    key = jax.random.key(config.seed + 1)
+    with display(config.steps, int(state.step)) as shown:
+        while int(state.step) < config.steps:
+            first, began = int(state.step), time.monotonic()
+            bucket = bucket_of_call(config, run.stacks, first // config.steps_per_call)
+            state, metrics = train_call(state, key, run.stacks[bucket])
+            step, values = int(state.step), {name: float(value) for name, value in metrics.items()}
+            if not np.isfinite(values["loss"]):
+                raise FloatingPointError(
+                    f"{directory}: the loss is {values['loss']} between steps {first} and {step}; "
+                    f"the last good checkpoint is untouched, try a lower learning rate"
+                )
+            seconds = (time.monotonic() - began) / (step - first)
+            for write in record:
+                write("train", step, {**values, "seconds_per_step": seconds})
+            shown.advance(step, f"loss {values['loss']:.4f}  {seconds:.3f} s/step")
+            if step % config.validate_every == 0 or step >= config.steps:
+                scores = validate(run, state.average)
+                checkpoint.save(checkpoints, state, scores["fgw"])
+                for write in record:
+                    write("validation", step, scores)
+                shown.advance(step, "  ".join(f"{k} {v:.4f}" for k, v in scores.items()))
+
+
+def _claim(directory: Path, config: Config) -> None:
+    """Writes the configuration into a new run directory, or checks that it is the same."""
+    path = directory / "config.json"
+    if not path.exists():
+        with replacing(path) as temporary:
+            Path(temporary).write_text(to_json(config) + "\n")
+        return
+    there, here = json.loads(path.read_text()), json.loads(to_json(config))
+    changed = [f"{name} {old} there, {new} here" for name, old, new in _changes(there, here)]
+    if changed:
+        raise ValueError(f"{path}: the run has another configuration: {'; '.join(changed)}")
+
+
+def _changes(there: dict[str, Any], here: dict[str, Any], prefix: str = "") -> list[tuple]:
+    """Lists the fields in which two nested dictionaries differ."""
+    found = []
+    for name in sorted(there.keys() | here.keys()):
+        old, new = there.get(name), here.get(name)
+        if isinstance(old, dict) and isinstance(new, dict):
+            found += _changes(old, new, f"{prefix}{name}.")
+        elif old != new:
+            found.append((f"{prefix}{name}", old, new))
+    return found

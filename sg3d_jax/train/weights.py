@@ -1,0 +1,125 @@
+"""Weights in one npz file: parameters by path, statistics, and the configuration as JSON.
+
+The file describes itself: numpy alone can read it, and no pickle is involved.
+"""
+
+import dataclasses
+import json
+from difflib import get_close_matches
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sg3d_jax.fill.fd4 import make_fd4
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.flagg.step import Flagg, Params, make_flagg
+from sg3d_jax.interop.files import replacing
+from sg3d_jax.train.config import Config, from_dict, to_json
+
+FORMAT = "sg3d_jax weights 1"
+
+
+class Trained(NamedTuple):
+    """A model with its parameters, ready to grow graphs."""
+
+    model: Flagg
+    params: Params
+    config: Config
+    statistics: Statistics
+    name: str  # as it was asked for
+
+
+def build_model(config: Config, statistics: Statistics) -> Flagg:
+    """Builds the three modules of a configuration."""
+    return make_flagg(config.flagg, make_fd4(config.fill, statistics))
+
+
+def save_weights(path: Path, config: Config, statistics: Statistics, params: Params) -> Path:
+    """Writes weights to an npz file, under a temporary name first."""
+    leaves = {
+        "/".join(str(getattr(key, "name", getattr(key, "key", key))) for key in keys): np.asarray(
+            leaf
+        )
+        for keys, leaf in jax.tree_util.tree_leaves_with_path({"params": params})
+    }
+    counted = {f"statistics/{name}": np.asarray(v) for name, v in statistics._asdict().items()}
+    with replacing(path) as temporary:
+        np.savez_compressed(temporary, format=FORMAT, config=to_json(config), **counted, **leaves)
+    return path
+
+
+def names() -> list[str]:
+    """Returns the names of the weights that come with the package."""
+    folder = resources.files("sg3d_jax") / "pretrained"
+    return sorted(file.name[:-4] for file in folder.iterdir() if file.name.endswith(".npz"))
+
+
+def load_weights(name_or_path: str | Path) -> Trained:
+    """Loads weights by name, or from a file.
+
+    Args:
+      name_or_path: one of `names()`, such as "fd4-s-f", or the path of an npz file.
+
+    Raises:
+      ValueError: neither a known name nor a sound weights file.
+    """
+    name = str(name_or_path)
+    if name in names():
+        with resources.as_file(resources.files("sg3d_jax") / "pretrained" / f"{name}.npz") as path:
+            return _read(path, name)
+    if Path(name).is_file():
+        return _read(Path(name), name)
+    close = get_close_matches(name, names(), n=1)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    raise ValueError(
+        f"unknown weights {name!r}, expected the path of an npz file or one of "
+        f"{', '.join(names())}{hint}"
+    )
+
+
+def with_diffusion_steps(trained: Trained, topology_steps: int) -> Trained:
+    """Returns the same weights, sampled with another number of diffusion steps of the topology.
+
+    Raises:
+      ValueError: not in 1..S of the trained schedule.
+    """
+    most = trained.config.fill.diffusion_steps
+    if not 1 <= topology_steps <= most:
+        raise ValueError(f"diffusion steps must be in 1..{most}, got {topology_steps}")
+    fill = dataclasses.replace(trained.config.fill, topology_steps=topology_steps)
+    config = dataclasses.replace(trained.config, fill=fill)
+    return trained._replace(model=build_model(config, trained.statistics), config=config)
+
+
+def _read(path: Path, name: str) -> Trained:
+    """Reads one weights file."""
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {key: content[key] for key in content.files}
+        if str(arrays["format"]) != FORMAT:
+            raise ValueError
+        config = from_dict(json.loads(str(arrays["config"])))
+        statistics = Statistics(
+            *(jnp.asarray(arrays[f"statistics/{f}"]) for f in Statistics._fields)
+        )
+        params = Params(**_nested(arrays, "params/"))
+    except Exception as error:
+        raise ValueError(f"{path}: not a weights file of this version of sg3d_jax") from error
+    return Trained(build_model(config, statistics), params, config, statistics, name)
+
+
+def _nested(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, Any]:
+    """Rebuilds nested dictionaries from paths separated by slashes."""
+    tree: dict[str, Any] = {}
+    for path, array in arrays.items():
+        if path.startswith(prefix):
+            *folders, leaf = path[len(prefix) :].split("/")
+            place = tree
+            for folder in folders:
+                place = place.setdefault(folder, {})
+            place[leaf] = jnp.asarray(array)
+    return tree
