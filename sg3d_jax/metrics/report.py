@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from sg3d_jax.scene.graph import SceneGraph
 
 def score(
     generated: Sequence[SceneGraph], truth: Sequence[SceneGraph], alpha: float = ALPHA
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Scores generated graphs against the true ones over the same planes.
 
     Args:

@@ -1,11 +1,11 @@
 """Checkpoints of a run: the latest, to go on from, and the best by validation FGW, to use.
 
-The only file that knows orbax. Its `best_fn` with `max_to_keep` deletes the newest checkpoint (orbax
-issue 526), so both are kept by name here.
+The only file that knows orbax. Its `best_fn` with `max_to_keep` deletes the newest checkpoint
+(orbax issue 526), so both are kept by name here.
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 from orbax.checkpoint import v1 as ocp
@@ -16,15 +16,16 @@ from sg3d_jax.train.step import TrainState
 class Checkpoints(NamedTuple):
     """The open checkpoints of one run."""
 
-    manager: ocp.training.Checkpointer
+    manager: Any  # ocp.training.Checkpointer
 
 
 def open_checkpoints(directory: Path) -> Checkpoints:
     """Opens, or begins, the checkpoints of a run."""
-    policies = ocp.training.preservation_policies
+    policies: Any = ocp.training.preservation_policies
     best = policies.BestN(n=1, get_metric_fn=lambda metrics: metrics["fgw"], reverse=True)
     keep = policies.AnyPreservationPolicy([policies.LatestN(1), best])
-    return Checkpoints(ocp.training.Checkpointer(directory.resolve(), preservation_policy=keep))
+    location = str(directory.resolve())
+    return Checkpoints(ocp.training.Checkpointer(location, preservation_policy=keep))
 
 
 def save(checkpoints: Checkpoints, state: TrainState, fgw: float) -> None:
@@ -43,7 +44,9 @@ def restore(checkpoints: Checkpoints, template: TrainState, step: int) -> TrainS
     """Loads the state of one step.
 
     Args:
+      checkpoints: of the run.
       template: a state of the same shapes; its values do not matter.
+      step: one that is kept.
     """
     abstract = jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding), template

@@ -85,9 +85,8 @@ def statistics_of(config: FlaggConfig, stacks: Sequence[SceneGraph]) -> Statisti
     keys = jax.random.split(jax.random.key(0), len(stacks))
     counted = [jax.jit(cut_all)(graphs, key) for graphs, key in zip(stacks, keys, strict=True)]
     shares = np.array([graphs.n_node.shape[0] for graphs in stacks], np.float32)
+    shares /= shares.sum()
     return jax.tree.map(
-        lambda *leaves: sum(
-            s * leaf for s, leaf in zip(shares / shares.sum(), leaves, strict=True)
-        ),
+        lambda *leaves: sum(share * leaf for share, leaf in zip(shares, leaves, strict=True)),
         *counted,
     )

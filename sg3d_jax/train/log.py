@@ -4,7 +4,7 @@ import contextlib
 import importlib
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -67,14 +67,10 @@ class Display(NamedTuple):
 
 
 @contextlib.contextmanager
-def display(num_steps: int, step: int) -> Iterator[Display]:
+def display(num_steps: int, step: int) -> Generator[Display]:
     """Shows a bar with rate and remaining time on stderr, or plain lines off a terminal."""
     console = Console(stderr=True)
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[text]}"),
-    )
+    text = TextColumn("{task.fields[text]}")
+    columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), text
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield Display(progress, progress.add_task("", total=num_steps, completed=step, text=""))

@@ -57,9 +57,8 @@ def validate(run: Run, params: Params) -> dict[str, float]:
     report = score([samples[0].graph for samples in completions], run.validation)
     halted = np.mean([samples[0].halt_reason == "HALTED" for samples in completions])
     chosen = {name: float(report[name]) for name in ("fgw", "gw", "w", "exact_structure")}
-    chosen["fgw"] = (
-        chosen["fgw"] if np.isfinite(chosen["fgw"]) else np.inf
-    )  # the worst, not the best
+    if not np.isfinite(chosen["fgw"]):
+        chosen["fgw"] = np.inf  # the worst, not the best
     return {**chosen, "halted": float(halted)}
 
 

@@ -16,8 +16,8 @@ from sg3d_jax.train.config import Config
 class TrainState(NamedTuple):
     """Everything that a run carries from step to step."""
 
-    params: flagg.Params
-    average: flagg.Params  # exponential moving average of params
+    params: Any  # flagg.Params
+    average: Any  # exponential moving average of params
     optimiser: Any
     step: Array  # int32[]
 

@@ -5,12 +5,12 @@ The file describes itself: numpy alone can read it, and no pickle is involved.
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -40,15 +40,11 @@ def build_model(config: Config, statistics: Statistics) -> Flagg:
 
 def save_weights(path: Path, config: Config, statistics: Statistics, params: Params) -> Path:
     """Writes weights to an npz file, under a temporary name first."""
-    leaves = {
-        "/".join(str(getattr(key, "name", getattr(key, "key", key))) for key in keys): np.asarray(
-            leaf
-        )
-        for keys, leaf in jax.tree_util.tree_leaves_with_path({"params": params})
-    }
+    leaves = dict(_flat(params._asdict(), "params"))
     counted = {f"statistics/{name}": np.asarray(v) for name, v in statistics._asdict().items()}
     with replacing(path) as temporary:
-        np.savez_compressed(temporary, format=FORMAT, config=to_json(config), **counted, **leaves)
+        content: dict[str, Any] = {**counted, **leaves}
+        np.savez_compressed(temporary, format=FORMAT, config=to_json(config), **content)
     return path
 
 
@@ -112,8 +108,17 @@ def _read(path: Path, name: str) -> Trained:
     return Trained(build_model(config, statistics), params, config, statistics, name)
 
 
+def _flat(tree: dict[str, Any], path: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields the leaves of nested dictionaries with their paths, separated by slashes."""
+    for name, branch in tree.items():
+        if isinstance(branch, dict):
+            yield from _flat(branch, f"{path}/{name}")
+        else:
+            yield f"{path}/{name}", np.asarray(branch)
+
+
 def _nested(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, Any]:
-    """Rebuilds nested dictionaries from paths separated by slashes."""
+    """Rebuilds nested dictionaries from the paths that `_flat` gave."""
     tree: dict[str, Any] = {}
     for path, array in arrays.items():
         if path.startswith(prefix):
