@@ -22,6 +22,7 @@ def add_noise(
     """Draws x_t given x_0.
 
     Args:
+      key: one draw.
       classes: x_0, any shape.
       signal: signal level at t, broadcastable to `classes`.
       marginal: pi.
@@ -38,8 +39,8 @@ def draw_marginal(
     key: Key[Array, ""], shape: tuple[int, ...], marginal: Float[Array, " C"]
 ) -> Int[Array, "..."]:
     """Draws x_T: independent classes from the marginal, of the given shape."""
-    uniform = jax.random.uniform(key, shape)
-    return jnp.sum(uniform[..., None] > jnp.cumsum(marginal)[:-1], axis=-1, dtype=jnp.int32)
+    uniform, boundaries = jax.random.uniform(key, shape), jnp.cumsum(marginal)[:-1]
+    return jnp.searchsorted(boundaries, uniform, method="compare_all")
 
 
 def posterior(
@@ -68,7 +69,8 @@ def posterior(
     now_given_next = ratio * is_noisy + (1 - ratio) * chance_of_noisy
     now_given_clean = signal_now * is_noisy + (1 - signal_now) * chance_of_noisy
     weight = probs_clean / jnp.maximum(now_given_clean, TINY)
-    redrawn = (1 - signal_next) * jnp.sum(weight, axis=-1, keepdims=True) * marginal
+    redrawn = (1 - signal_next) * jnp.sum(weight, axis=-1, keepdims=True)
+    redrawn *= jnp.broadcast_to(marginal, probs_clean.shape)
     unnormalised = now_given_next * (signal_next * weight + redrawn)
     return unnormalised / jnp.maximum(jnp.sum(unnormalised, axis=-1, keepdims=True), TINY)
 

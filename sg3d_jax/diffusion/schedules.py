@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 
-def cosine(num_steps: int) -> Float[Array, " S+1"]:
+def cosine(num_steps: int) -> Float[Array, " {num_steps}+1"]:
     """Returns the cumulative signal level at times 0..S: 1 at time 0, about 0 at time S.
 
     Source: DiGress and FLAGG: f(t / S) / f(0) with f(x) = cos^2(pi / 2 * (x + 0.008) / 1.008).
@@ -15,7 +15,7 @@ def cosine(num_steps: int) -> Float[Array, " S+1"]:
     return jnp.asarray(signal / signal[0], jnp.float32)
 
 
-def strided_times(num_steps: int, num_samples: int) -> Int[Array, " K+1"]:
+def strided_times(num_steps: int, num_samples: int) -> Int[Array, " {num_samples}+1"]:
     """Returns the decreasing times S..0 of a sampler that takes `num_samples` steps.
 
     Args:

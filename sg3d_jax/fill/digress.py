@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from sg3d_jax.diffusion import categorical
 from sg3d_jax.diffusion.schedules import strided_times
 from sg3d_jax.fill.protocol import Params, Statistics, real_pairs
+from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
 from sg3d_jax.scene.padding import Block
 
@@ -60,7 +61,7 @@ def loss(
     key: Key[Array, ""],
     conditioning: Conditioning,
     block: Block,
-    schedule: Float[Array, " S+1"],
+    schedule: Float[Array, " times"],
     statistics: Statistics,
 ) -> dict[str, Float[Array, ""]]:
     """Returns the cross-entropies of labels and edges at one random diffusion time.
@@ -74,8 +75,14 @@ def loss(
     key_time, key_noise = jax.random.split(key)
     time = jax.random.randint(key_time, (), 1, schedule.shape[0])
     noisy = add_noise(key_noise, block, conditioning.mask, schedule[time], statistics)
-    logits_label, logits_edge = network.apply(
-        params, conditioning, block.mask, noisy.label, noisy.edges, time.astype(jnp.float32)
+    logits_label, logits_edge = apply(
+        network,
+        params,
+        conditioning,
+        block.mask,
+        noisy.label,
+        noisy.edges,
+        time.astype(jnp.float32),
     )
     square, cross = real_pairs(block.mask, conditioning.mask)
     pairs = jnp.concatenate([square, cross], axis=1)
@@ -102,15 +109,13 @@ def sample(
     key: Key[Array, ""],
     conditioning: Conditioning,
     block_mask: Bool[Array, " M"],
-    schedule: Float[Array, " S+1"],
+    schedule: Float[Array, " times"],
     num_steps: int,
     statistics: Statistics,
 ) -> Topology:
-    """Draws the topology of a block by the reverse process.
+    """Draws the topology of the places in `block_mask` by the reverse process.
 
-    Args:
-      block_mask: which of the M places are to be filled.
-      num_steps: sampling steps, a stride over the trained schedule.
+    It takes `num_steps` sampling steps, a stride over the trained schedule.
     """
     num_block, old_mask = block_mask.shape[0], conditioning.mask
     key_start, key_steps = jax.random.split(key)
@@ -126,8 +131,14 @@ def sample(
 
     def step(noisy: Topology, inputs: tuple[Array, Array, Array]) -> tuple[Topology, None]:
         key, now, then = inputs
-        logits_label, logits_edge = network.apply(
-            params, conditioning, block_mask, noisy.label, noisy.edges, now.astype(jnp.float32)
+        logits_label, logits_edge = apply(
+            network,
+            params,
+            conditioning,
+            block_mask,
+            noisy.label,
+            noisy.edges,
+            now.astype(jnp.float32),
         )
         levels = schedule[then], schedule[now]
         keys = jax.random.split(key, 3)

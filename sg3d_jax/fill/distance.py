@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from sg3d_jax.diffusion import gaussian
 from sg3d_jax.diffusion.schedules import strided_times
 from sg3d_jax.fill.protocol import Params, Statistics, real_pairs
+from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.embed import safe_norm
 from sg3d_jax.nn.graph_transformer import Conditioning, DistanceNetwork
 from sg3d_jax.scene.padding import Block
@@ -30,7 +31,7 @@ def loss(
     key: Key[Array, ""],
     conditioning: Conditioning,
     block: Block,
-    schedule: Float[Array, " S+1"],
+    schedule: Float[Array, " times"],
     statistics: Statistics,
 ) -> Float[Array, ""]:
     """Returns the mean squared error of the standardised clean distances at one random time.
@@ -46,8 +47,8 @@ def loss(
     signal = schedule[time]
     noise = _symmetric_normal(key_noise, num_block, num_old)
     noisy = gaussian.add_noise(noise, clean, signal)
-    predicted = network.apply(
-        params, conditioning, block.label, block.edges, noisy, time.astype(jnp.float32)
+    predicted = apply(
+        network, params, conditioning, block.label, block.edges, noisy, time.astype(jnp.float32)
     )
     square, cross = real_pairs(block.mask, conditioning.mask)
     counted = jnp.concatenate([square, cross], axis=1) & block.edges
@@ -60,11 +61,11 @@ def sample(
     key: Key[Array, ""],
     conditioning: Conditioning,
     label: Int[Array, " M"],
-    edges: Bool[Array, "M M+N"],
-    schedule: Float[Array, " S+1"],
+    edges: Bool[Array, "M tokens"],
+    schedule: Float[Array, " times"],
     num_steps: int,
     statistics: Statistics,
-) -> Float[Array, "M M+N"]:
+) -> Float[Array, "M tokens"]:
     """Draws the lengths of the given edges by the reverse process, metres, at least zero.
 
     Entries without an edge are meaningless.
@@ -75,8 +76,8 @@ def sample(
 
     def step(noisy: Array, inputs: tuple[Array, Array, Array]) -> tuple[Array, None]:
         key, now, then = inputs
-        predicted = network.apply(
-            params, conditioning, label, edges, noisy, now.astype(jnp.float32)
+        predicted = apply(
+            network, params, conditioning, label, edges, noisy, now.astype(jnp.float32)
         )
         noise = _symmetric_normal(key, num_block, num_old)
         return gaussian.reverse_step(noise, predicted, noisy, schedule[then], schedule[now]), None

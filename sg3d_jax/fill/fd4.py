@@ -13,6 +13,7 @@ from sg3d_jax.diffusion.schedules import cosine
 from sg3d_jax.fill import digress, distance
 from sg3d_jax.fill.mds import recover_positions
 from sg3d_jax.fill.protocol import Fill, Params, Statistics
+from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import (
     DistanceNetwork,
     OldGraphEncoder,
@@ -58,7 +59,7 @@ def make_fd4(config: FD4Config, statistics: Statistics) -> Fill:
     def init(key: Key[Array, ""], graph: SceneGraph, block: Block) -> Params:
         keys = jax.random.split(key, 3)
         encoder_params = encoder.init(keys[0], graph)
-        conditioning = encoder.apply(encoder_params, graph)
+        conditioning = apply(encoder, encoder_params, graph)
         time, edges = jnp.zeros(()), block.edges.astype(jnp.int32)
         inputs = conditioning, block.mask, block.label, edges, time
         return {
@@ -72,7 +73,7 @@ def make_fd4(config: FD4Config, statistics: Statistics) -> Fill:
     def loss(
         params: Params, key: Key[Array, ""], graph: SceneGraph, block: Block
     ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-        conditioning = encoder.apply(params["encoder"], graph)
+        conditioning = apply(encoder, params["encoder"], graph)
 
         def at_one_level(key: Key[Array, ""]) -> dict[str, Float[Array, ""]]:
             key_topology, key_distance = jax.random.split(key)
@@ -90,7 +91,7 @@ def make_fd4(config: FD4Config, statistics: Statistics) -> Fill:
         params: Params, key: Key[Array, ""], graph: SceneGraph, block_mask: Bool[Array, " M"]
     ) -> Block:
         key_topology, key_distance = jax.random.split(key)
-        conditioning = encoder.apply(params["encoder"], graph)
+        conditioning = apply(encoder, params["encoder"], graph)
         drawn = digress.sample(
             topology,
             params["topology"],

@@ -1,10 +1,10 @@
 """Stage three of FD4: centroids from distances, by stress minimisation with the old nodes fixed.
 
 Source: paper, Eq. for R_t* in Sec. "Adapting D4".
-Differs: Levenberg-Marquardt from the mean of the neighbours, where the authors' D4 snapshot runs 500
-steps of Adam from random starts. The plane centroids of a floor lie at one height and a wall has two
-planes, so where distances are too long the minimum leaves their plane or line in an arbitrary
-direction; from our start the steps stay in it.
+Differs: Levenberg-Marquardt from the mean of the neighbours, where the authors' D4 snapshot runs
+500 steps of Adam from random starts. The plane centroids of a floor lie at one height and a wall
+has two planes, so where distances are too long the minimum leaves their plane or line in an
+arbitrary direction; from our start the steps stay in it.
 """
 
 from typing import NamedTuple
@@ -27,8 +27,8 @@ class _Iterate(NamedTuple):
 def stress(
     position: Float[Array, "M 3"],
     old_position: Float[Array, "N 3"],
-    distance: Float[Array, "M M+N"],
-    edges: Bool[Array, "M M+N"],
+    distance: Float[Array, "M tokens"],
+    edges: Bool[Array, "M tokens"],
 ) -> Float[Array, ""]:
     """Returns the sum over new edges, each once, of (length - distance)^2, square metres."""
     num_block = position.shape[0]
@@ -39,8 +39,8 @@ def stress(
 
 
 def recover_positions(
-    distance: Float[Array, "M M+N"],
-    edges: Bool[Array, "M M+N"],
+    distance: Float[Array, "M tokens"],
+    edges: Bool[Array, "M tokens"],
     old: Surface,
     old_mask: Bool[Array, " N"],
 ) -> Float[Array, "M 3"]:
@@ -53,8 +53,8 @@ def recover_positions(
       old_mask: real old nodes.
 
     Returns:
-      float[M, 3], metres. A node without edges stands at the mean of the old graph; one with a single
-      neighbour stands at its distance in front of it.
+      float[M, 3], metres. A node without edges stands at the mean of the old graph; one with a
+      single neighbour stands at its distance in front of it.
     """
     start = _start(distance, edges, old, old_mask)
     begin = _Iterate(start, stress(start, old.position, distance, edges), jnp.asarray(1e-3))
@@ -68,8 +68,8 @@ def recover_positions(
 
 def _levenberg_step(
     iterate: _Iterate,
-    distance: Float[Array, "M M+N"],
-    edges: Bool[Array, "M M+N"],
+    distance: Float[Array, "M tokens"],
+    edges: Bool[Array, "M tokens"],
     old_position: Float[Array, "N 3"],
 ) -> _Iterate:
     """Solves the damped normal equations; keeps the step and lowers the damping if it helped."""
@@ -96,8 +96,8 @@ def _levenberg_step(
 
 
 def _start(
-    distance: Float[Array, "M M+N"],
-    edges: Bool[Array, "M M+N"],
+    distance: Float[Array, "M tokens"],
+    edges: Bool[Array, "M tokens"],
     old: Surface,
     old_mask: Bool[Array, " N"],
 ) -> Float[Array, "M 3"]:
@@ -119,8 +119,8 @@ def _start(
 
 
 def _in_front(
-    distance: Float[Array, "M M+N"],
-    edges: Bool[Array, "M M+N"],
+    distance: Float[Array, "M tokens"],
+    edges: Bool[Array, "M tokens"],
     old: Surface,
     everyone: Float[Array, "3"],
 ) -> Float[Array, "M 3"]:

@@ -50,11 +50,6 @@ def real_pairs(
     return once, block_mask[:, None] & old_mask[None, :]
 
 
-def positions_of_tokens(block: Block, graph: SceneGraph) -> Float[Array, "M+N 3"]:
-    """Returns the centroids of the new nodes, then of the old ones, metres."""
-    return jnp.concatenate([block.position, graph.nodes.position])
-
-
 def count_statistics(cuts: Cut) -> Statistics:
     """Counts the marginals and the distance scale on stacked cuts.
 

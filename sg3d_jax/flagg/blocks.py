@@ -6,6 +6,7 @@ in uniformly random order.
 """
 
 import functools
+import itertools
 from typing import NamedTuple
 
 import jax
@@ -33,7 +34,7 @@ def fewest_coins(coins: tuple[int, ...], max_amount: int) -> np.ndarray:
     Raises:
       ValueError: the coins are not increasing or do not begin with 1.
     """
-    if coins[:1] != (1,) or any(a >= b for a, b in zip(coins, coins[1:], strict=False)):
+    if coins[:1] != (1,) or any(a >= b for a, b in itertools.pairwise(coins)):
         raise ValueError(f"block sizes must increase and begin with 1, got {coins}")
     table = np.zeros((max_amount + 1, len(coins)), np.int32)
     for amount in range(1, max_amount + 1):
@@ -64,6 +65,7 @@ def draw_schedule(
     """Draws the block sizes of a whole insertion sequence.
 
     Args:
+      key: a new key gives a new order of the blocks.
       num_missing: n_0, high-level nodes of the complete graph, at most `max_amount`.
       coins: block sizes.
       max_amount: T, the length of the result.

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.gine import GraphHead
 from sg3d_jax.scene.graph import SceneGraph
 
@@ -34,7 +35,7 @@ def make_halt(width: int, layers: int) -> Halt:
     network = GraphHead(width, layers, 1)
 
     def logit(params: Any, graph: SceneGraph) -> Float[Array, ""]:
-        return network.apply(params, graph)[0]
+        return apply(network, params, graph)[0]
 
     return Halt(init=network.init, logit=logit)
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
+from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.gine import GraphHead
 from sg3d_jax.scene.graph import SceneGraph
 
@@ -29,7 +30,11 @@ class Insert(NamedTuple):
 def make_insert(width: int, layers: int, num_coins: int) -> Insert:
     """Builds the insertion model: a GINE with a head of one logit a coin."""
     network = GraphHead(width, layers, num_coins)
-    return Insert(init=network.init, logits=network.apply)
+
+    def logits(params: Any, graph: SceneGraph) -> Float[Array, " K"]:
+        return apply(network, params, graph)
+
+    return Insert(init=network.init, logits=logits)
 
 
 def insert_loss(logits: Float[Array, " K"], target: Float[Array, " K"]) -> Float[Array, ""]:

@@ -45,14 +45,14 @@ def safe_norm(vector: Float[Array, "... D"]) -> Float[Array, "..."]:
 
 
 def _seen_from(surface: Surface, offset: Float[Array, "... 3"]) -> tuple[Array, Array, Array]:
-    """Returns an offset along the normal, across it (unsigned), and across beyond the edge, metres."""
+    """Returns an offset along the normal, across it (unsigned) and beyond the edge, metres."""
     normal = surface.normal
     along = jnp.sum(normal * offset, axis=-1)
     across = jnp.abs(normal[..., 0] * offset[..., 1] - normal[..., 1] * offset[..., 0])
     return along, across, across - surface.width / 2
 
 
-def multiscale(lengths: Float[Array, "... F"]) -> Float[Array, "... 3F"]:
+def multiscale(lengths: Float[Array, "... F"]) -> Float[Array, "... 3*F"]:
     """Shows each length at three resolutions: of centimetres, of metres, and of buildings."""
     fine = [jnp.tanh(lengths / scale) for scale in SCALES]
     return jnp.concatenate([lengths / 5.0, *fine], axis=-1)
@@ -114,7 +114,7 @@ def node_features(graph: SceneGraph) -> Float[Array, "N F"]:
 
 
 def edge_features(graph: SceneGraph) -> Float[Array, "E F"]:
-    """Returns the inputs of every directed edge: relation, geometry, and common neighbours by concept.
+    """Returns the inputs of every directed edge: relation, geometry, common neighbours by concept.
 
     Common neighbours say which pairs of planes already share a wall or a room.
     """

@@ -2,9 +2,9 @@
 
 Only the M new nodes and their M x (M + N) pairs have a state that changes from layer to layer. The
 old graph is encoded once: a vector a node, and gates on its edges. Through the gates a row of the
-rectangle is propagated along the old graph, so that "this plane belongs to the new room" reaches the
-planes that the geometry ties to it; two planes of one room agree although neither knows the other's
-place.
+rectangle is propagated along the old graph, so that "this plane belongs to the new room" reaches
+the planes that the geometry ties to it; two planes of one room agree although neither knows the
+other's place.
 
 Source: DiGress and FLAGG (edge FiLM, old nodes as frozen tokens); paper, Sec. "Adapting D4".
 Differs: attention logits come from the pair state, which already holds both ends; messages are
@@ -76,7 +76,7 @@ def linked_centre(
     return (weight @ conditioning.surface.position) / total, count
 
 
-def block_symmetric(pairs: Float[Array, "M M+N D"]) -> Float[Array, "M M+N D"]:
+def block_symmetric(pairs: Float[Array, "M tokens D"]) -> Float[Array, "M tokens D"]:
     """Averages the square block x block with its transpose; the rest is unchanged."""
     num_block = pairs.shape[0]
     square = pairs[:, :num_block]
@@ -96,10 +96,10 @@ class RectangleLayer(nn.Module):
     def __call__(
         self,
         block: Float[Array, "M D"],
-        pairs: Float[Array, "M M+N P"],
+        pairs: Float[Array, "M tokens P"],
         conditioning: Conditioning,
-        token_mask: Bool[Array, " M+N"],
-    ) -> tuple[Float[Array, "M D"], Float[Array, "M M+N P"]]:
+        token_mask: Bool[Array, " tokens"],
+    ) -> tuple[Float[Array, "M D"], Float[Array, "M tokens P"]]:
         """Returns the new states of the block nodes and of the pairs."""
         num_block = block.shape[0]
         normed = nn.LayerNorm(name="pair_norm")(pairs)
@@ -140,9 +140,9 @@ class RectangleTransformer(nn.Module):
         conditioning: Conditioning,
         block_mask: Bool[Array, " M"],
         label: Int[Array, " M"],
-        edges: Int[Array, "M M+N"],
+        edges: Int[Array, "M tokens"],
         time: Float[Array, ""],
-    ) -> tuple[Float[Array, "M C"], Float[Array, "M M+N 2"]]:
+    ) -> tuple[Float[Array, "M C"], Float[Array, "M tokens 2"]]:
         """Returns logits of the clean labels and of {no edge, edge}, symmetric inside the block.
 
         Args:
@@ -198,10 +198,10 @@ class DistanceNetwork(nn.Module):
         self,
         conditioning: Conditioning,
         label: Int[Array, " M"],
-        edges: Bool[Array, "M M+N"],
-        distance: Float[Array, "M M+N"],
+        edges: Bool[Array, "M tokens"],
+        distance: Float[Array, "M tokens"],
         time: Float[Array, ""],
-    ) -> Float[Array, "M M+N"]:
+    ) -> Float[Array, "M tokens"]:
         """Returns standardised clean distances, symmetric inside the block.
 
         Args:

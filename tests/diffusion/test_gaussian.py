@@ -1,0 +1,49 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sg3d_jax.diffusion import gaussian
+from sg3d_jax.diffusion.schedules import cosine
+
+SIGNAL = np.asarray(cosine(10), np.float64)
+
+
+def posterior_of_chain(clean, noisy, then, now):
+    """Mean and variance of x_s given x_t and x_0, from the product of two normal densities."""
+    step = SIGNAL[now] / SIGNAL[then]
+    variance_then = 1 - SIGNAL[then] ** 2
+    variance_step = (1 - SIGNAL[now] ** 2) - step**2 * variance_then
+    precision = 1 / variance_then + step**2 / variance_step
+    mean = (SIGNAL[then] * clean / variance_then + step * noisy / variance_step) / precision
+    return mean, 1 / precision
+
+
+def reverse_step(noise, clean, noisy, then, now):
+    levels = jnp.float32(SIGNAL[then]), jnp.float32(SIGNAL[now])
+    return gaussian.reverse_step(*map(jnp.asarray, (noise, clean, noisy)), *levels)
+
+
+@pytest.mark.parametrize(("then", "now"), [(1, 2), (3, 7), (8, 9), (9, 10), (1, 10)])
+def test_reverse_step__draws_from_the_posterior_of_the_chain(then, now):
+    clean, noisy = np.array([0.3, -2.0, 1.1]), np.array([0.9, -0.4, 5.0])
+    mean, variance = posterior_of_chain(clean, noisy, then, now)
+    found_mean = reverse_step(np.zeros(3), clean, noisy, then, now)
+    np.testing.assert_allclose(found_mean, mean, rtol=1e-4, atol=1e-6)
+    deviation = reverse_step(np.ones(3), clean, noisy, then, now) - found_mean
+    np.testing.assert_allclose(deviation, np.full(3, np.sqrt(variance)), rtol=1e-3)
+
+
+@pytest.mark.parametrize("now", [1, 5, 10])
+def test_reverse_step__to_time_zero_returns_the_prediction(now):
+    clean, noisy, noise = np.random.default_rng(now).normal(size=(3, 8))
+    np.testing.assert_allclose(reverse_step(noise, clean, noisy, 0, now), clean, rtol=1e-6)
+
+
+def test_add_noise__keeps_unit_variance_and_shrinks_the_mean():
+    noise = jax.random.normal(jax.random.key(0), (50_000,))
+    spread = jax.random.normal(jax.random.key(1), (50_000,))
+    noisy = gaussian.add_noise(noise, spread, jnp.float32(0.6))
+    np.testing.assert_allclose([noisy.mean(), noisy.var()], [0, 1], atol=0.02)
+    shifted = gaussian.add_noise(noise, 3 + spread, jnp.float32(0.6))
+    np.testing.assert_allclose(shifted - noisy, np.full(50_000, 1.8), rtol=1e-4)
