@@ -64,9 +64,8 @@ def count_statistics(cuts: Cut) -> Statistics:
     Differs: counted before training; FLAGG counts while it already trains.
     """
     block, old = cuts.block, cuts.survivors.nodes
-    label = jnp.sum(
-        (block.label[..., None] == jnp.arange(NUM_CONCEPTS)) & block.mask[..., None], axis=(0, 1)
-    )
+    is_concept = block.label[..., None] == jnp.arange(NUM_CONCEPTS)[None, None]
+    label = jnp.sum(is_concept & block.mask[..., None], axis=(0, 1))
     num_block = block.mask.shape[-1]
     once = jnp.tril(jnp.ones((num_block, num_block), bool), -1)[None]
     square = once & block.mask[:, :, None] & block.mask[:, None, :]

@@ -28,7 +28,13 @@ class Insert(NamedTuple):
 
 
 def make_insert(width: int, layers: int, num_coins: int) -> Insert:
-    """Builds the insertion model: a GINE with a head of one logit a coin."""
+    """Builds the insertion model: a GINE with a head of one logit a coin.
+
+    Where there is only one block size there is nothing to predict, and the model is a constant
+    without parameters, as in FLAGG's sequential schedule.
+    """
+    if num_coins == 1:
+        return Insert(init=lambda key, graph: {}, logits=lambda params, graph: jnp.zeros(1))
     network = GraphHead(width, layers, num_coins)
 
     def logits(params: Any, graph: SceneGraph) -> Float[Array, " K"]:

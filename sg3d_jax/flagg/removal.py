@@ -87,7 +87,7 @@ def _block(graph: SceneGraph, rank: Array, first: Array, size: Array, capacity: 
     places = jnp.arange(capacity)
     mask = places < size
     chosen = jnp.argmax(rank[None, :] == (first + places)[:, None], axis=-1)
-    to_old = adjacency[chosen] & (rank < first) & mask[:, None]
+    to_old = adjacency[chosen] & (rank < first)[None, :] & mask[:, None]
     to_new = adjacency[chosen][:, chosen] & mask[:, None] & mask[None, :]
     return Block(
         label=jnp.where(mask, graph.nodes.label[chosen], 0),

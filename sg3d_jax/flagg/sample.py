@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int, Key
+from jaxtyping import Array, Bool, Integer, Key
 
 from sg3d_jax.flagg.step import Flagg, Params, grow
 from sg3d_jax.scene.graph import SceneGraph, planes_of
@@ -72,7 +72,7 @@ def grow_from_planes(
     return final._replace(graph=without_proximity(final.graph))
 
 
-def sample_keys(seed: int, indices: Int[Array, " B"]) -> Key[Array, " B"]:
+def sample_keys(seed: int, indices: Integer[Array, " B"]) -> Key[Array, " B"]:
     """Returns one key a sample, folded from its index, so that batching changes nothing."""
     return jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), indices)
 

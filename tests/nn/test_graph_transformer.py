@@ -1,0 +1,192 @@
+from typing import NamedTuple
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sg3d_jax.nn.apply import apply
+from sg3d_jax.nn.embed import surface_of
+from sg3d_jax.nn.graph_transformer import (
+    Conditioning,
+    DistanceNetwork,
+    OldGraphEncoder,
+    RectangleTransformer,
+    block_symmetric,
+    linked_centre,
+)
+from sg3d_jax.scene.concepts import FLOOR, ROOM, WALL
+from tests.two_rooms import CAPACITY, TWICE, moved, on_device, reordered, two_rooms, with_garbage
+
+SCENE = two_rooms()
+NUM_BLOCK, NUM_OLD = 4, 12
+ENCODER = OldGraphEncoder(8, 1, 3)
+TOPOLOGY = RectangleTransformer(8, 8, 1, 2, 3)
+LENGTHS = DistanceNetwork(8, 1)
+
+
+class Inputs(NamedTuple):
+    """What is known and noisy of a block."""
+
+    mask: np.ndarray
+    label: np.ndarray
+    edges: np.ndarray
+    distance: np.ndarray
+
+
+def draw_inputs(num_new: int = 3) -> Inputs:
+    """A noisy block beside the twelve old nodes, without edges at padding."""
+    rng = np.random.default_rng(2)
+    mask = np.arange(NUM_BLOCK) < num_new
+    square = np.tril(rng.random((NUM_BLOCK, NUM_BLOCK)) < 0.5, -1)
+    across = rng.random((NUM_BLOCK, CAPACITY.nodes)) < 0.3
+    real = np.concatenate([mask, np.arange(CAPACITY.nodes) < NUM_OLD])
+    edges = np.concatenate([square | square.T, across], axis=1) & mask[:, None] & real[None]
+    distance = rng.normal(size=edges.shape).astype(np.float32)
+    distance[:, :NUM_BLOCK] += distance[:, :NUM_BLOCK].T
+    return Inputs(mask, np.where(mask, [ROOM, WALL, FLOOR, ROOM], 0), edges, distance)
+
+
+@jax.jit
+def run(params, graph, inputs):
+    """Logits of labels and of edges, and standardised distances."""
+    mask, label, edges, distance = jax.tree.map(jnp.asarray, inputs)
+    conditioning = apply(ENCODER, params["encoder"], graph)
+    time = jnp.float32(7)
+    logits = apply(TOPOLOGY, params["topology"], conditioning, mask, label, edges + 0, time)
+    return *logits, apply(LENGTHS, params["distance"], conditioning, label, edges, distance, time)
+
+
+@pytest.fixture(scope="module")
+def params():
+    graph, inputs = on_device(SCENE), jax.tree.map(jnp.asarray, draw_inputs())
+
+    @jax.jit
+    def init(key):
+        keys = jax.random.split(key, 3)
+        encoder, time = ENCODER.init(keys[0], graph), jnp.float32(0)
+        conditioning = apply(ENCODER, encoder, graph)
+        mask, label, edges, distance = inputs
+        return {
+            "encoder": encoder,
+            "topology": TOPOLOGY.init(keys[1], conditioning, mask, label, edges + 0, time),
+            "distance": LENGTHS.init(keys[2], conditioning, label, edges, distance, time),
+        }
+
+    return init(jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def expected(params):
+    return run(params, on_device(SCENE), draw_inputs())
+
+
+def real_part(outputs, rows=3):
+    """Drops what is said of padding, and distances where there is no edge."""
+    label, edges, distance = (np.asarray(output)[:rows] for output in outputs)
+    width = NUM_BLOCK + NUM_OLD
+    linked = draw_inputs().edges[:rows, :width]
+    return label, edges[:, :width], np.where(linked, distance[:, :width], 0)
+
+
+def assert_same(found, expected, atol=2e-5):
+    for one, other in zip(real_part(found), real_part(expected), strict=True):
+        np.testing.assert_allclose(one, other, atol=atol)
+
+
+def test_outputs__do_not_depend_on_the_amount_of_padding(params, expected):
+    inputs = draw_inputs()
+    more = ((0, 0), (0, TWICE.nodes - CAPACITY.nodes))
+    wider = inputs._replace(
+        edges=np.pad(inputs.edges, more), distance=np.pad(inputs.distance, more)
+    )
+    assert_same(run(params, on_device(SCENE, TWICE), wider), expected)
+
+
+def test_outputs__do_not_depend_on_what_is_in_the_padding_of_the_old_graph(params, expected):
+    assert_same(run(params, with_garbage(on_device(SCENE), 3), draw_inputs()), expected)
+
+
+def test_distances__do_not_depend_on_noise_where_there_is_no_edge(params, expected):
+    inputs = draw_inputs()
+    noisier = inputs._replace(distance=np.where(inputs.edges, inputs.distance, 9).astype("f"))
+    assert_same(run(params, on_device(SCENE), noisier), expected)
+
+
+def test_outputs__do_not_see_where_the_building_stands(params, expected):
+    shaken = on_device(moved(SCENE, -1.1, (4, 9, -3), flip=True))
+    assert_same(run(params, shaken, draw_inputs()), expected, atol=1e-3)
+
+
+def test_outputs__follow_the_numbering_of_the_old_graph(params, expected):
+    inputs, order = draw_inputs(), np.random.default_rng(4).permutation(NUM_OLD)
+    columns = np.arange(NUM_BLOCK + CAPACITY.nodes)
+    columns[NUM_BLOCK : NUM_BLOCK + NUM_OLD] = NUM_BLOCK + order
+    shuffled = inputs._replace(edges=inputs.edges[:, columns], distance=inputs.distance[:, columns])
+    found = run(params, on_device(reordered(SCENE, order)), shuffled)
+    label, edges, distance = (np.asarray(output) for output in found)
+    back = np.argsort(columns)
+    assert_same((label, edges[:, back], distance[:, back]), expected)
+
+
+def test_outputs__follow_the_numbering_of_the_block(params, expected):
+    inputs, order = draw_inputs(), np.array([2, 0, 1, 3])
+    columns = np.concatenate([order, NUM_BLOCK + np.arange(CAPACITY.nodes)])
+    shuffled = Inputs(
+        inputs.mask[order],
+        inputs.label[order],
+        inputs.edges[order][:, columns],
+        inputs.distance[order][:, columns],
+    )
+    label, edges, distance = map(np.asarray, run(params, on_device(SCENE), shuffled))
+    rows, back = np.argsort(order), np.argsort(columns)
+    found = label[rows], edges[rows][:, back], distance[rows][:, back]
+    assert_same(found, expected)
+
+
+def test_edges_inside_the_block__are_symmetric(expected):
+    for output in expected[1:]:
+        square = np.asarray(output)[:, :NUM_BLOCK]
+        np.testing.assert_array_equal(square, np.swapaxes(square, 0, 1))
+
+
+def test_outputs__see_the_noisy_edges_and_the_old_graph(params, expected):
+    inputs = draw_inputs()
+    edges = inputs.edges.copy()
+    edges[0, NUM_BLOCK] ^= True
+    changed = run(params, on_device(SCENE), inputs._replace(edges=edges))
+    farther = on_device(SCENE._replace(nodes=SCENE.nodes._replace(width=SCENE.nodes.width * 2)))
+    for other in (changed, run(params, farther, inputs)):
+        for one, two in zip(real_part(other), real_part(expected), strict=True):
+            assert np.abs(one - two).max() > 1e-4
+
+
+def test_gradient__is_finite_where_everything_is_padding(params):
+    graph = jax.tree.map(jnp.zeros_like, on_device(SCENE))
+    nothing = jax.tree.map(np.zeros_like, draw_inputs())
+
+    def total(params):
+        return sum(jnp.sum(output**2) for output in run(params, graph, nothing))
+
+    chex.assert_tree_all_finite(jax.jit(jax.grad(total))(params))
+
+
+def test_linked_centre__is_the_mean_of_the_linked_or_of_all_old_nodes():
+    nodes = with_garbage(on_device(SCENE), 5).nodes
+    conditioning = Conditioning(jnp.zeros(0), jnp.zeros(0), surface_of(nodes), nodes.mask)
+    linked = np.zeros((3, CAPACITY.nodes), np.float32)
+    linked[0, [1, 4]] = 1
+    linked[1, [2, 15]] = 1  # 15 is padding
+    centre, count = linked_centre(jnp.asarray(linked), conditioning)
+    position = SCENE.nodes.position
+    expected = [position[[1, 4]].mean(axis=0), position[2], position.mean(axis=0)]
+    np.testing.assert_allclose(centre, expected, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(count[:, 0], [2, 1, 0])
+
+
+def test_block_symmetric__averages_pairs_inside_the_block_only():
+    pairs = jax.random.normal(jax.random.key(1), (3, 8, 2))
+    found = np.asarray(block_symmetric(pairs))
+    np.testing.assert_allclose(found[0, 2], (pairs[0, 2] + pairs[2, 0]) / 2)
+    np.testing.assert_array_equal(found[:, 3:], pairs[:, 3:])
