@@ -1,5 +1,13 @@
-"""FD4 on S-F-square: rectangular rooms, one floor."""
+"""FD4 on S-F-square: rectangular rooms on one floor, turned by any angle."""
 
+from sg3d_jax.fill.fd4 import FD4Config
+from sg3d_jax.flagg.step import FlaggConfig
 from sg3d_jax.train.config import Config, DataConfig
 
-CONFIG = Config(data=DataConfig(name="s-f-square"))
+CONFIG = Config(
+    data=DataConfig(name="s-f-square"),
+    flagg=FlaggConfig(coins=(1,)),  # one node a step: see the README on block sizes
+    fill=FD4Config(noise_levels=4),
+    steps=18_000,
+    validate_every=3_000,
+)

@@ -35,8 +35,7 @@ class GINE(nn.Module):
         edge_mask = graph.edges.mask[:, None].astype(jnp.float32)
         nodes = nn.Dense(self.width, name="nodes")(node_features(graph)) * mask
         edges = nn.relu(nn.Dense(self.width, name="edges")(edge_features(graph)))
-        edges = nn.Dense(self.width, name="edges_out")(edges)
-        by_layer = nn.Dense(self.layers * self.width, name="messages")(nn.relu(edges))
+        by_layer = nn.Dense(self.layers * self.width, name="messages")(edges)
         for layer, edge in enumerate(jnp.split(by_layer, self.layers, axis=-1)):
             message = nn.relu(jnp.take(nodes, graph.senders, axis=0) + edge) * edge_mask
             total = jax.ops.segment_sum(message, graph.receivers, nodes.shape[0])

@@ -103,23 +103,22 @@ class RectangleLayer(nn.Module):
         """Returns the new states of the block nodes and of the pairs."""
         num_block = block.shape[0]
         normed = nn.LayerNorm(name="pair_norm")(pairs)
-        claim = nn.Dense(self.gates, name="claim")(normed) * token_mask[None, :, None]
+        projected = nn.Dense(self.gates + self.heads + self.pair_width, name="project")(normed)
+        claim, logits, hidden = jnp.split(projected, [self.gates, self.gates + self.heads], axis=-1)
+        claim = claim * token_mask[None, :, None]
         spread = jnp.einsum("hij,mjh->mih", conditioning.propagation, claim[:, num_block:])
-        rivals = jnp.sum(claim, axis=0, keepdims=True) - claim
         spread = jnp.pad(spread, ((0, 0), (num_block, 0), (0, 0)))
+        rivals = jnp.sum(claim, axis=0, keepdims=True) - claim
         context = jnp.concatenate([spread, rivals], axis=-1)
 
-        logits = nn.Dense(self.heads, name="attention")(normed)
         logits = jnp.where(token_mask[None, :, None], logits, -1e9)
         weights = jax.nn.softmax(logits, axis=1)
         gathered = jnp.einsum("mth,mtp->mhp", weights, normed).reshape(num_block, -1)
         block = block + nn.Dense(self.node_width, name="gathered")(gathered)
-        hidden = nn.LayerNorm(name="block_norm")(block)
-        hidden = nn.relu(nn.Dense(2 * self.node_width, name="block_hidden")(hidden))
-        block = block + nn.Dense(self.node_width, name="block_out")(hidden)
+        expanded = nn.Dense(2 * self.node_width, name="expand")(nn.LayerNorm(name="norm")(block))
+        block = block + nn.Dense(self.node_width, name="contract")(nn.relu(expanded))
 
         scale, shift = jnp.split(nn.Dense(2 * self.pair_width, name="film")(block), 2, axis=-1)
-        hidden = nn.Dense(self.pair_width, name="pair_in")(normed)
         hidden += nn.Dense(self.pair_width, use_bias=False, name="context")(context)
         hidden = nn.relu(hidden * (1 + scale[:, None]) + shift[:, None])
         return block, pairs + nn.Dense(self.pair_width, name="pair_out")(hidden)
