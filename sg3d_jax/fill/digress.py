@@ -129,6 +129,9 @@ def sample(
         edges=_join(square, cross, block_mask, old_mask),
     )
 
+    # A class of no marginal probability, such as the plane, would never be left again.
+    possible = statistics.label > 0
+
     def step(noisy: Topology, inputs: tuple[Array, Array, Array]) -> tuple[Topology, None]:
         key, now, then = inputs
         logits_label, logits_edge = apply(
@@ -140,6 +143,7 @@ def sample(
             noisy.edges,
             now.astype(jnp.float32),
         )
+        logits_label = jnp.where(possible[None], logits_label, -jnp.inf)
         levels = schedule[then], schedule[now]
         keys = jax.random.split(key, 3)
         probs_label, probs_edge = jax.nn.softmax(logits_label), jax.nn.softmax(logits_edge)

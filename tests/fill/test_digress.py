@@ -1,0 +1,177 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sg3d_jax.diffusion.schedules import cosine
+from sg3d_jax.fill import digress
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.nn.embed import Surface
+from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
+from sg3d_jax.scene.concepts import FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
+from sg3d_jax.scene.padding import Block
+
+NUM_BLOCK, NUM_OLD = 4, 6
+SCHEDULE = cosine(5)
+STATISTICS = Statistics(
+    label=jnp.asarray([0, 0.5, 0.3, 0.2, 0, 0]),
+    block_edge=jnp.asarray([0.7, 0.3]),
+    cross_edge=jnp.asarray([0.6, 0.4]),
+    distance_mean=jnp.float32(1),
+    distance_std=jnp.float32(1),
+)
+
+
+class Told(RectangleTransformer):
+    """A network that says what it is told to, whatever it sees."""
+
+    def __call__(self, conditioning, block_mask, label, edges, time):
+        return self.get_variable("params", "label"), self.get_variable("params", "edge")
+
+
+TOLD = Told(0, 0, 0, 0, 0)
+
+
+def say(label, edge):
+    return {"params": {"label": jnp.asarray(label), "edge": jnp.asarray(edge)}}
+
+
+def old_graph(num_real):
+    surface = Surface(jnp.zeros((NUM_OLD, 3)), jnp.zeros((NUM_OLD, 3)), jnp.zeros(NUM_OLD))
+    return Conditioning(jnp.zeros(0), jnp.zeros(0), surface, jnp.arange(NUM_OLD) < num_real)
+
+
+def make_block(num_new, num_old, seed=0):
+    rng = np.random.default_rng(seed)
+    mask = np.arange(NUM_BLOCK) < num_new
+    square = np.tril(rng.random((NUM_BLOCK, NUM_BLOCK)) < 0.5, -1)
+    across = rng.random((NUM_BLOCK, NUM_OLD)) < 0.5
+    real = np.concatenate([mask, np.arange(NUM_OLD) < num_old])
+    edges = np.concatenate([square | square.T, across], axis=1) & mask[:, None] & real[None]
+    label = np.where(mask, [WALL, ROOM, ROOM, FLOOR], 0)
+    fields = label.astype(np.int32), np.zeros((NUM_BLOCK, 3), np.float32), edges, mask
+    return Block(*map(jnp.asarray, fields))
+
+
+def random_logits(seed):
+    rng = np.random.default_rng(seed)
+    edge = rng.normal(size=(NUM_BLOCK, NUM_BLOCK + NUM_OLD, 2))
+    return say(rng.normal(size=(NUM_BLOCK, NUM_CONCEPTS)), edge.astype(np.float32))
+
+
+def loss_by_loops(params, block, num_old):
+    """Mean cross-entropies over the real nodes, and over the real pairs, each once."""
+    said = {name: np.asarray(value, np.float64) for name, value in params["params"].items()}
+    num_new, terms = int(block.mask.sum()), {"label": [], "edge": []}
+
+    def surprise(logits, target):
+        return np.log(np.exp(logits).sum()) - logits[target]
+
+    for new in range(num_new):
+        terms["label"].append(surprise(said["label"][new], int(block.label[new])))
+        for token in [*range(new), *range(NUM_BLOCK, NUM_BLOCK + num_old)]:
+            pair = said["edge"][new, token], int(block.edges[new, token])
+            terms["edge"].append(surprise(*pair))
+    return {name: np.mean(values) for name, values in terms.items()}
+
+
+@jax.jit
+def loss_of(params, key, conditioning, block):
+    return digress.loss(TOLD, params, key, conditioning, block, SCHEDULE, STATISTICS)
+
+
+@jax.jit
+def noise_of(key, block, old_mask, signal):
+    return digress.add_noise(key, block, old_mask, signal, STATISTICS)
+
+
+@jax.jit
+def sample_of(params, keys, conditioning, block_mask):
+    def one(key):
+        inputs = params, key, conditioning, block_mask, SCHEDULE, 3, STATISTICS
+        return digress.sample(TOLD, *inputs)
+
+    return jax.vmap(one)(keys)
+
+
+@pytest.mark.parametrize(("num_new", "num_old"), [(1, 2), (2, 6), (4, 5)])
+def test_loss__is_a_mean_over_the_nodes_and_pairs_of_one_graph(num_new, num_old):
+    block, params = make_block(num_new, num_old), random_logits(1)
+    found = loss_of(params, jax.random.key(0), old_graph(num_old), block)
+    for name, value in loss_by_loops(params, block, num_old).items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-5)
+
+
+def test_loss__weighs_a_small_graph_in_a_batch_like_a_large_one():
+    """The pooled, misaligned weights of FLAGG's release would fail here."""
+    sizes, params = [(1, 2), (4, 6)], random_logits(2)
+    blocks = [make_block(*size) for size in sizes]
+    batch = jax.tree.map(
+        lambda *leaves: jnp.stack(leaves), *zip(map(old_graph, (2, 6)), blocks, strict=True)
+    )
+    keys = jax.random.split(jax.random.key(1))
+    losses = jax.vmap(loss_of, (None, 0, 0, 0))(params, keys, *batch)
+    expected = [
+        loss_by_loops(params, block, size[1]) for block, size in zip(blocks, sizes, strict=True)
+    ]
+    for name, values in losses.items():
+        mean = np.mean([terms[name] for terms in expected])
+        np.testing.assert_allclose(values.mean(), mean, rtol=1e-5)
+
+
+def test_loss__of_an_empty_block_is_zero():
+    found = loss_of(random_logits(3), jax.random.key(2), old_graph(6), make_block(0, 6))
+    assert found == {"label": 0, "edge": 0}
+
+
+@pytest.mark.parametrize("signal", [0.0, 0.5, 1.0])
+def test_noise__is_symmetric_and_on_real_pairs_only(signal):
+    block, old = make_block(3, 4), old_graph(4)
+    for seed in range(5):
+        noisy = noise_of(jax.random.key(seed), block, old.mask, jnp.float32(signal))
+        assert_possible(noisy, np.asarray(block.mask), np.asarray(old.mask))
+        if signal == 1:
+            np.testing.assert_array_equal(noisy.edges, block.edges)
+            np.testing.assert_array_equal(noisy.label, block.label)
+
+
+def test_noise__has_the_marginals_of_its_kind_of_pair():
+    block, old = make_block(4, 6), old_graph(6)
+    keys = jax.random.split(jax.random.key(3), 2000)
+    noisy = jax.vmap(noise_of, (0, None, None, None))(keys, block, old.mask, jnp.float32(0))
+    edges = np.asarray(noisy.edges)
+    inside = edges[:, *np.tril_indices(NUM_BLOCK, -1)]
+    np.testing.assert_allclose(inside.mean(), 0.3, atol=0.02)
+    np.testing.assert_allclose(edges[:, :, NUM_BLOCK:].mean(), 0.4, atol=0.01)
+
+
+def assert_possible(topology, block_mask, old_mask):
+    edges = np.asarray(topology.edges)
+    square = edges[..., :NUM_BLOCK]
+    np.testing.assert_array_equal(square, np.swapaxes(square, -1, -2))
+    assert not np.diagonal(square, axis1=-2, axis2=-1).any()
+    assert not edges[..., ~block_mask, :].any()
+    assert not edges[..., ~np.concatenate([block_mask, old_mask])].any()
+
+
+def test_samples__are_symmetric_on_real_pairs_and_no_planes_whatever_the_network_says():
+    conditioning, mask = old_graph(4), jnp.arange(NUM_BLOCK) < 3
+    fond_of_planes = np.zeros((NUM_BLOCK, NUM_CONCEPTS), np.float32)
+    fond_of_planes[:, PLANE] = 2
+    params = say(fond_of_planes, np.zeros((NUM_BLOCK, NUM_BLOCK + NUM_OLD, 2), np.float32))
+    drawn = sample_of(params, jax.random.split(jax.random.key(4), 200), conditioning, mask)
+    assert_possible(drawn, np.asarray(mask), np.asarray(conditioning.mask))
+    assert set(np.unique(drawn.label)) == {WALL, ROOM, FLOOR}
+    assert 0.3 < drawn.edges[:, :3, NUM_BLOCK : NUM_BLOCK + 4].mean() < 0.7
+
+
+def test_samples__are_what_a_certain_network_predicts():
+    target, conditioning = make_block(4, 6, seed=5), old_graph(6)
+    certain = say(
+        100.0 * jax.nn.one_hot(target.label, NUM_CONCEPTS),
+        100.0 * jax.nn.one_hot(target.edges + 0, 2),
+    )
+    keys = jax.random.split(jax.random.key(5), 200)
+    drawn = sample_of(certain, keys, conditioning, target.mask)
+    assert (drawn.label == target.label[None]).all()
+    assert (drawn.edges == target.edges[None]).all()

@@ -1,0 +1,103 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sg3d_jax.diffusion.schedules import cosine
+from sg3d_jax.fill import distance
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.nn.embed import Surface
+from sg3d_jax.nn.graph_transformer import Conditioning, DistanceNetwork
+from sg3d_jax.scene.padding import Block
+
+NUM_BLOCK, NUM_OLD, MEAN, STD = 3, 5, 1.5, 0.4
+SCHEDULE = cosine(4)
+STATISTICS = Statistics(
+    jnp.full(6, 1 / 6),
+    jnp.full(2, 0.5),
+    jnp.full(2, 0.5),
+    distance_mean=jnp.float32(MEAN),
+    distance_std=jnp.float32(STD),
+)
+
+
+class Told(DistanceNetwork):
+    """A network that predicts one number, times the noisy distance if asked to."""
+
+    def __call__(self, conditioning, label, edges, distance, time):
+        constant, factor = self.get_variable("params", "told")
+        return constant + factor * distance
+
+
+TOLD = Told(0, 0)
+
+
+def say(constant, factor=0.0):
+    return {"params": {"told": jnp.asarray([constant, factor])}}
+
+
+@pytest.fixture
+def scene():
+    rng = np.random.default_rng(0)
+    position, old = rng.normal(0, 2, (2, NUM_OLD, 3)).astype(np.float32)
+    mask = np.array([True, True, False])
+    edges = np.zeros((NUM_BLOCK, NUM_BLOCK + NUM_OLD), bool)
+    edges[0, 1] = edges[1, 0] = True
+    edges[0, NUM_BLOCK + 2] = edges[1, NUM_BLOCK] = edges[1, NUM_BLOCK + 3] = True
+    block = Block(jnp.zeros(NUM_BLOCK, int), *map(jnp.asarray, (position[:3], edges, mask)))
+    surface = Surface(jnp.asarray(old), jnp.zeros((NUM_OLD, 3)), jnp.zeros(NUM_OLD))
+    return Conditioning(jnp.zeros(0), jnp.zeros(0), surface, jnp.arange(NUM_OLD) < 4), block
+
+
+@jax.jit
+def loss_of(params, key, conditioning, block):
+    return distance.loss(TOLD, params, key, conditioning, block, SCHEDULE, STATISTICS)
+
+
+@jax.jit
+def sample_of(params, key, conditioning, block):
+    inputs = conditioning, block.label, block.edges, SCHEDULE, 2, STATISTICS
+    return distance.sample(TOLD, params, key, *inputs)
+
+
+def test_loss__is_the_mean_over_new_edges_each_once(scene):
+    conditioning, block = scene
+    new, old = np.asarray(block.position), np.asarray(conditioning.surface.position)
+    ends = [(new[1], new[0]), (new[0], old[2]), (new[1], old[0]), (new[1], old[3])]
+    clean = [(np.linalg.norm(a - b) - MEAN) / STD for a, b in ends]
+    found = loss_of(say(0.3), jax.random.key(0), conditioning, block)
+    np.testing.assert_allclose(found, np.mean((0.3 - np.array(clean)) ** 2), rtol=1e-5)
+
+
+def test_loss__depends_on_the_noise_that_the_network_sees(scene):
+    first, second = (loss_of(say(0.0, 1.0), jax.random.key(seed), *scene) for seed in (1, 2))
+    assert first != second
+
+
+def test_loss__without_edges_is_zero(scene):
+    conditioning, block = scene
+    lonely = block._replace(edges=jnp.zeros_like(block.edges))
+    assert loss_of(say(0.3), jax.random.key(3), conditioning, lonely) == 0
+
+
+def test_loss__ignores_edges_of_padding(scene):
+    conditioning, block = scene
+    more = block.edges.at[2].set(True).at[:, NUM_BLOCK + 4].set(True)
+    expected, found = (
+        loss_of(say(0.3), jax.random.key(4), conditioning, block._replace(edges=edges))
+        for edges in (block.edges, more)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("said", "metres"), [(0.5, MEAN + 0.5 * STD), (-10.0, 0.0)])
+def test_samples__are_in_metres_and_never_negative(scene, said, metres):
+    found = sample_of(say(said), jax.random.key(5), *scene)
+    np.testing.assert_allclose(found, np.full_like(found, metres), rtol=1e-6)
+
+
+def test_samples__are_symmetric_inside_the_block(scene):
+    found = np.asarray(sample_of(say(0.0, 0.9), jax.random.key(6), *scene))
+    square = found[:, :NUM_BLOCK]
+    np.testing.assert_array_equal(square, square.T)
+    assert len(np.unique(found)) > NUM_OLD
