@@ -85,6 +85,7 @@ def noise_of(key, block, old_mask, signal):
     return digress.add_noise(key, block, old_mask, signal, STATISTICS)
 
 
+@jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
 @jax.jit
 def sample_of(params, keys, conditioning, block_mask):
     def one(key):

@@ -1,0 +1,112 @@
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sg3d_jax.fill.fd4 import FD4Config, make_fd4
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.graph import planes_of
+from sg3d_jax.scene.padding import Block, part_of_adjacency
+from sg3d_jax.scene.proximity import connect_planes
+from tests.two_rooms import CAPACITY, NUM_PLANES, moved, on_device, rotation, two_rooms
+
+STEPS = 3
+STATISTICS = Statistics(
+    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
+    block_edge=jnp.asarray([0.7, 0.3]),
+    cross_edge=jnp.asarray([0.6, 0.4]),
+    distance_mean=jnp.float32(2),
+    distance_std=jnp.float32(0.5),
+)
+
+
+def make(steps):
+    sizes = {"encoder_width": 8, "gates": 2, "node_width": 8, "pair_width": 8, "distance_width": 8}
+    layers = {"encoder_layers": 1, "layers": 1, "heads": 2, "distance_layers": 1}
+    diffusion = {"diffusion_steps": STEPS, "topology_steps": steps, "distance_steps": steps}
+    return make_fd4(FD4Config(**sizes, **layers, **diffusion, noise_levels=4), STATISTICS)
+
+
+FILL = make(STEPS)
+connect = jax.jit(connect_planes)
+loss_and_gradient = jax.jit(jax.value_and_grad(FILL.loss, has_aux=True))
+
+
+def observed(graph):
+    return connect(on_device(planes_of(graph)))
+
+
+def all_at_once():
+    """The wall, the rooms and the floor as one block on the planes."""
+    graph = on_device(two_rooms())
+    adjacency = part_of_adjacency(graph)[NUM_PLANES:12]
+    old = adjacency.at[:, NUM_PLANES:].set(False)
+    edges = jnp.concatenate([adjacency[:, NUM_PLANES:12], old], axis=1)
+    new = jax.tree.map(lambda field: field[NUM_PLANES:12], graph.nodes)
+    return Block(new.label, new.position, edges, new.mask)
+
+
+@pytest.fixture(scope="module")
+def params():
+    return jax.jit(FILL.init)(jax.random.key(0), observed(two_rooms()), all_at_once())
+
+
+def test_every_parameter__is_trained(params):
+    graph, block = observed(two_rooms()), all_at_once()
+
+    (_, terms), found = loss_and_gradient(params, jax.random.key(1), graph, block)
+    chex.assert_tree_all_finite((found, terms))
+    flat, _ = jax.tree_util.tree_flatten_with_path(found)
+    idle = [jax.tree_util.keystr(path) for path, leaf in flat if not np.any(leaf)]
+    assert idle == []
+
+
+def test_loss__is_the_weighted_sum_of_its_terms(params):
+    graph, block = observed(two_rooms()), all_at_once()
+    (total, terms), _ = loss_and_gradient(params, jax.random.key(2), graph, block)
+    assert set(terms) == {"label", "edge", "distance"}
+    expected = terms["label"] + 5 * terms["edge"] + terms["distance"]
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
+
+
+def test_loss__of_an_empty_block_is_zero_and_teaches_nothing(params):
+    empty = jax.tree.map(jnp.zeros_like, all_at_once())
+    inputs = jax.random.key(3), observed(two_rooms()), empty
+    (total, _), gradient = loss_and_gradient(params, *inputs)
+    assert total == 0
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("steps", [1, STEPS])
+def test_samples__fill_the_places_that_are_asked_for(params, steps):
+    graph, mask = observed(two_rooms()), jnp.arange(4) < 3
+    block = jax.jit(make(steps).sample)(params, jax.random.key(4), graph, mask)
+    chex.assert_tree_all_finite(block)
+    np.testing.assert_array_equal(block.mask, mask)
+    assert not (block.label[:3] == PLANE).any()
+    assert (block.label < NUM_CONCEPTS).all()
+    for field in (block.label, block.position, block.edges):
+        assert not field[3].any()
+    edges = np.asarray(block.edges)
+    np.testing.assert_array_equal(edges[:, :4], edges[:, :4].T)
+    assert not edges[:, 4 + NUM_PLANES :].any()
+    assert edges.shape == (4, 4 + CAPACITY.nodes)
+
+
+@pytest.mark.parametrize(
+    ("angle", "offset", "flip"), [(1.0, (0, 0, 0), False), (-2.5, (3, -6, 2), True)]
+)
+def test_samples__move_with_the_building(params, angle, offset, flip):
+    sample = jax.jit(FILL.sample)
+    mask = jnp.ones(4, bool)
+    still = sample(params, jax.random.key(5), observed(two_rooms()), mask)
+    shaken = sample(
+        params, jax.random.key(5), observed(moved(two_rooms(), angle, offset, flip)), mask
+    )
+    np.testing.assert_array_equal(still.label, shaken.label)
+    np.testing.assert_array_equal(still.edges, shaken.edges)
+    matrix = rotation(angle) @ np.diag([1, -1 if flip else 1, 1])
+    expected = np.asarray(still.position) @ matrix.T + np.asarray(offset)
+    np.testing.assert_allclose(shaken.position, expected, atol=1e-3)
