@@ -6,7 +6,9 @@ Source: paper, Eq. (flagg_full) and Sec. "Generating 3DSGs".
 """
 
 import functools
-from collections.abc import Sequence
+import itertools
+import operator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -128,28 +130,44 @@ def complete(
       For every scene, in order, its samples.
     """
     observed = [planes_of(scene) for scene in scenes]
-    centres = [centre_of_planes(planes) for planes in observed]
-    jobs = [(index, sample) for index in range(len(scenes)) for sample in range(samples)]
-    sizes = [growth_capacity(len(observed[index].nodes.label)) for index, _ in jobs]
-    results: list[list[Completion]] = [[] for _ in scenes]
+    planes_of_job = [planes for planes in observed for _ in range(samples)]
     finished: dict[int, Completion] = {}
-    for capacity in sorted(set(sizes)):
-        members = [job for job, size in enumerate(sizes) if size == capacity]
-        members.sort(key=lambda job: len(observed[jobs[job][0]].nodes.label))
+    for capacity, jobs in _batches(planes_of_job):
+        batch = [planes_of_job[job] for job in jobs]
+        completions = _complete_batch(model, params, seed, jobs, batch, capacity, max_steps)
+        finished.update(zip(jobs, completions, strict=True))
+    ordered = [finished[job] for job in range(len(planes_of_job))]
+    return [ordered[first : first + samples] for first in range(0, len(ordered), samples)]
+
+
+def _batches(planes: Sequence[SceneGraph]) -> Iterator[tuple[Capacity, list[int]]]:
+    """Yields at most BATCH indices of scenes of one bucket; similar sizes need similar steps."""
+    num_planes = [len(graph.nodes.label) for graph in planes]
+    by_size = sorted(range(len(planes)), key=num_planes.__getitem__)
+    for capacity, group in itertools.groupby(by_size, lambda i: growth_capacity(num_planes[i])):
+        members = list(group)
         for first in range(0, len(members), BATCH):
-            chosen = members[first : first + BATCH]
-            padded = chosen + chosen[-1:] * (BATCH - len(chosen))
-            centred = [_shift(observed[jobs[job][0]], -centres[jobs[job][0]]) for job in padded]
-            keys = sample_keys(seed, jnp.asarray(padded, jnp.uint32))
-            grown = grow_batch(model, params, keys, stack(centred, capacity), max_steps)
-            grown = jax.tree.map(np.asarray, grown)
-            for lane, job in enumerate(chosen):
-                index = jobs[job][0]
-                one = jax.tree.map(lambda leaf, lane=lane: leaf[lane], grown)
-                finished[job] = _on_host(one, observed[index], centres[index])
-    for job, (index, _) in enumerate(jobs):
-        results[index].append(finished[job])
-    return results
+            yield capacity, members[first : first + BATCH]
+
+
+def _complete_batch(
+    model: Flagg,
+    params: Params,
+    seed: int,
+    jobs: Sequence[int],
+    planes: Sequence[SceneGraph],
+    capacity: Capacity,
+    max_steps: int,
+) -> list[Completion]:
+    """Grows at most BATCH scenes in one compiled call; idle lanes repeat the last scene."""
+    idle = BATCH - len(jobs)
+    centres = [centre_of_planes(graph) for graph in planes]
+    centred = [_shift(graph, -centre) for graph, centre in zip(planes, centres, strict=True)]
+    keys = sample_keys(seed, jnp.asarray([*jobs, *[jobs[-1]] * idle], jnp.uint32))
+    stacked = stack([*centred, *[centred[-1]] * idle], capacity)
+    grown = jax.tree.map(np.asarray, grow_batch(model, params, keys, stacked, max_steps))
+    lanes = [jax.tree.map(operator.itemgetter(lane), grown) for lane in range(len(jobs))]
+    return [_on_host(*lane) for lane in zip(lanes, planes, centres, strict=True)]
 
 
 def _shift(graph: SceneGraph, offset: np.ndarray) -> SceneGraph:
