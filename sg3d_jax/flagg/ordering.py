@@ -60,7 +60,7 @@ def insertion_rank(
 def _distance_from_start(graph: SceneGraph, key: Key[Array, ""]) -> Float[Array, " N"]:
     """Returns the distance of every node from one random node of its own concept, metres."""
     nodes = graph.nodes
-    member = nodes.mask & (nodes.label == jnp.arange(NUM_CONCEPTS)[:, None])
+    member = nodes.mask[None] & (nodes.label[None] == jnp.arange(NUM_CONCEPTS)[:, None])
     score = jnp.where(member, jax.random.uniform(key, member.shape), -1.0)
     start = jnp.take(nodes.position, jnp.argmax(score, axis=-1), axis=0)
     return jnp.linalg.norm(nodes.position - start[nodes.label], axis=-1)
