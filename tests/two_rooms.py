@@ -1,6 +1,7 @@
 """A scene small enough to compile quickly, and what may be done to it without changing it."""
 
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -100,3 +101,10 @@ def with_garbage(graph: SceneGraph, seed: int) -> SceneGraph:
         senders=spoilt(graph.senders, edge_mask, ends[0]),
         receivers=spoilt(graph.receivers, edge_mask, ends[1]),
     )
+
+
+def random_params(init: Callable[..., Any], *inputs: Any, seed: int = 0) -> Any:
+    """Returns parameters of the shapes of `init(key, *inputs)`, without compiling initialisers."""
+    shapes = jax.eval_shape(init, jax.random.key(0), *inputs)
+    rng = np.random.default_rng(seed)
+    return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(0, 0.4, leaf.shape), "f"), shapes)

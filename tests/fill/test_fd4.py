@@ -10,7 +10,15 @@ from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
 from sg3d_jax.scene.graph import planes_of
 from sg3d_jax.scene.padding import Block, part_of_adjacency
 from sg3d_jax.scene.proximity import connect_planes
-from tests.two_rooms import CAPACITY, NUM_PLANES, moved, on_device, rotation, two_rooms
+from tests.two_rooms import (
+    CAPACITY,
+    NUM_PLANES,
+    moved,
+    on_device,
+    random_params,
+    rotation,
+    two_rooms,
+)
 
 STEPS = 3
 STATISTICS = Statistics(
@@ -50,7 +58,7 @@ def all_at_once():
 
 @pytest.fixture(scope="module")
 def params():
-    return jax.jit(FILL.init)(jax.random.key(0), observed(two_rooms()), all_at_once())
+    return random_params(FILL.init, observed(two_rooms()), all_at_once())
 
 
 def test_every_parameter__is_trained(params):

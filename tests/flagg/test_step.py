@@ -14,7 +14,7 @@ from sg3d_jax.flagg.insert import insert_loss
 from sg3d_jax.flagg.sample import RUNNING, grow_from_planes
 from sg3d_jax.scene.concepts import PLANE
 from sg3d_jax.scene.graph import planes_of
-from tests.two_rooms import NUM_PLANES, on_device, two_rooms
+from tests.two_rooms import NUM_PLANES, on_device, random_params, two_rooms
 
 SCENE = two_rooms()
 STATISTICS = Statistics(
@@ -40,8 +40,8 @@ def constant_fill() -> Fill:
 def simple():
     config = step.FlaggConfig(coins=(1, 2), width=4, depth=1, corruption=QUIET)
     model = step.make_flagg(config, constant_fill())
-    params = jax.jit(lambda key: step.init(model, key, on_device(SCENE)))(jax.random.key(0))
-    return model, params
+    params = random_params(functools.partial(step.init, model, graph=on_device(SCENE)))
+    return model, params._replace(fill=jnp.float32(3))
 
 
 def test_loss__is_the_sum_of_the_three_modules_on_one_cut(simple):
@@ -83,14 +83,6 @@ def test_loss__has_a_finite_gradient_that_reaches_every_module(simple):
         assert any(np.any(leaf) for leaf in jax.tree.leaves(module))
 
 
-def random_params(model, seed):
-    """Parameters of the right shapes, without compiling the initialisers."""
-    shapes = jax.eval_shape(lambda key: step.init(model, key, on_device(SCENE)), jax.random.key(0))
-    rng = np.random.default_rng(seed)
-    return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(0, 0.3, leaf.shape), "f"), shapes)
-
-
-@jax.debug_key_reuse(False)  # JAX takes a scan over keys inside a loop for their reuse
 def test_growing__with_an_untrained_model_leaves_the_planes_bit_for_bit():
     sizes = {"encoder_width": 8, "gates": 2, "node_width": 8, "pair_width": 8, "distance_width": 8}
     layers = {"encoder_layers": 1, "layers": 1, "heads": 2, "distance_layers": 1}
@@ -99,10 +91,11 @@ def test_growing__with_an_untrained_model_leaves_the_planes_bit_for_bit():
     model = step.make_flagg(step.FlaggConfig(coins=(1, 2), width=4, depth=1), fill)
     planes = on_device(planes_of(SCENE))
 
+    init = functools.partial(step.init, model, graph=on_device(SCENE))
     grow = jax.jit(functools.partial(grow_from_planes, model, max_steps=3))
 
     for seed in range(4):
-        grown = grow(random_params(model, seed), jax.random.key(seed), planes)
+        grown = grow(random_params(init, seed=seed), jax.random.key(seed), planes)
         assert grown.halt_reason != RUNNING
         count = int(grown.graph.n_node[0])
         assert NUM_PLANES < count <= NUM_PLANES + 6

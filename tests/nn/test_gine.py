@@ -7,7 +7,15 @@ import pytest
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.gine import GINE, GraphHead
 from sg3d_jax.scene.padding import Capacity
-from tests.two_rooms import TWICE, moved, on_device, reordered, two_rooms, with_garbage
+from tests.two_rooms import (
+    TWICE,
+    moved,
+    on_device,
+    random_params,
+    reordered,
+    two_rooms,
+    with_garbage,
+)
 
 SCENE = two_rooms()
 ORDER = np.random.default_rng(0).permutation(12)
@@ -23,8 +31,7 @@ def run(params, graph):
 @pytest.fixture(scope="module")
 def params():
     graph = on_device(SCENE)
-    keys = jax.random.split(jax.random.key(0))
-    return jax.jit(lambda keys: (ENCODER.init(keys[0], graph), HEAD.init(keys[1], graph)))(keys)
+    return random_params(ENCODER.init, graph), random_params(HEAD.init, graph)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,16 @@ from sg3d_jax.nn.graph_transformer import (
     linked_centre,
 )
 from sg3d_jax.scene.concepts import FLOOR, ROOM, WALL
-from tests.two_rooms import CAPACITY, TWICE, moved, on_device, reordered, two_rooms, with_garbage
+from tests.two_rooms import (
+    CAPACITY,
+    TWICE,
+    moved,
+    on_device,
+    random_params,
+    reordered,
+    two_rooms,
+    with_garbage,
+)
 
 SCENE = two_rooms()
 NUM_BLOCK, NUM_OLD = 4, 12
@@ -62,7 +71,6 @@ def run(params, graph, inputs):
 def params():
     graph, inputs = on_device(SCENE), jax.tree.map(jnp.asarray, draw_inputs())
 
-    @jax.jit
     def init(key):
         keys = jax.random.split(key, 3)
         encoder, time = ENCODER.init(keys[0], graph), jnp.float32(0)
@@ -74,7 +82,7 @@ def params():
             "distance": LENGTHS.init(keys[2], conditioning, label, edges, distance, time),
         }
 
-    return init(jax.random.key(0))
+    return random_params(init)
 
 
 @pytest.fixture(scope="module")
