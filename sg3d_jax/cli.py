@@ -16,9 +16,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+import sg3d_jax
 from sg3d_jax.interop.files import replacing
 
 DEFAULT_WEIGHTS = "fd4-s-f"
+GRAPHS = (".json", ".jsonl")
+PICTURES = (".png", ".pdf", ".svg")
 
 Positional = tyro.conf.Positional
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
@@ -38,12 +41,9 @@ def complete(
 ) -> None:
     """Grow the scene graph of observed planes.
 
-    One scene and one sample give one JSON graph; more give JSON Lines, a graph a line, the samples
-    of the first scene first.
-
     Args:
       planes: JSON, JSON Lines (a scene a line) or CSV; metres.
-      output: the file to write.
+      output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
       picture: also draw the first graph, as PNG, PDF or SVG.
       samples: graphs a scene.
       seed: another seed draws other samples.
@@ -53,10 +53,19 @@ def complete(
     from sg3d_jax.flagg import sample
     from sg3d_jax.interop.json import write_graph, write_graphs
     from sg3d_jax.interop.planes import read_planes
+    from sg3d_jax.viz.figure import save_picture
 
-    if samples < 1:
-        raise ValueError(f"--samples must be at least 1, got {samples}")
+    _check_at_least("--samples", samples, 1)
+    _check_at_least("--seed", seed, 0)
+    _check_output(output, GRAPHS)
+    _check_output(picture, PICTURES)
     scenes = read_planes(planes)
+    several = output.suffix.lower() == ".jsonl"
+    if not several and len(scenes) * samples > 1:
+        raise ValueError(
+            f"{output}: a .json file holds one graph, expected the name of a .jsonl file for "
+            f"{len(scenes) * samples} graphs"
+        )
     trained = _trained(weights, diffusion_steps)
     grown = sample.complete(trained.model, trained.params, scenes, seed, samples)
     extras = [
@@ -72,13 +81,14 @@ def complete(
         for index, completion in enumerate(completions)
     ]
     graphs = [completion.graph for completions in grown for completion in completions]
-    if len(graphs) == 1:
-        write_graph(output, graphs[0], **extras[0])
-    else:
+    if several:
         write_graphs(output, graphs, extras)
+    else:
+        write_graph(output, graphs[0], **extras[0])
     _say_what_was_grown(output, graphs, extras)
     if picture is not None:
-        view(output, picture)
+        save_picture(graphs[0], picture)
+        print(f"{picture}: picture of scene 0 sample 0")
 
 
 @app.command
@@ -100,8 +110,14 @@ def view(graph: Positional[Path], output: Output, index: int = 0) -> None:
     print(f"{output}: picture of {graph}")
 
 
-def train(config: str, overrides: list[str]) -> None:
-    """Trains a configuration file with its fields overridden from the command line."""
+@app.command
+def train(config: Positional[Path], overrides: tyro.conf.Suppress[tuple[str, ...]] = ()) -> None:
+    """Train a configuration; `sg3d train CONFIG --help` lists what can be overridden.
+
+    Args:
+      config: a Python file that defines CONFIG, such as those in configs/.
+      overrides: further arguments, parsed against the configuration.
+    """
     from sg3d_jax.train.config import Config
     from sg3d_jax.train.loop import train as run
 
@@ -112,7 +128,7 @@ def train(config: str, overrides: list[str]) -> None:
         config: Annotated[Config, tyro.conf.arg(name="")]
         output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]  # the run directory
 
-    default = Run(_read_config(config), Path("runs") / Path(config).stem)
+    default = Run(_read_config(config), Path("runs") / config.stem)
     chosen = tyro.cli(Run, default=default, args=overrides, prog=f"sg3d train {config}")
     print(f"{run(chosen.config, chosen.output)}: weights of the best validation FGW")
 
@@ -144,6 +160,10 @@ def evaluate(
     from sg3d_jax.metrics.report import score
     from sg3d_jax.train.dataset import load_split
 
+    _check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
+    _check_at_least("--seed", seed, 0)
+    _check_output(output, (".json",))
+    _check_output(sheet, PICTURES)
     trained = _trained(weights, diffusion_steps)
     source = trained.config.data
     if data is not None and data != source.name:
@@ -186,6 +206,9 @@ def make(
     """
     from sg3d_jax.data import registry, schema
 
+    _check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
+    _check_at_least("--seed", seed, 0)
+    _check_output(output, (".npz",))
     graphs = registry.make(name, num_graphs, seed)
     schema.save(output, graphs, registry.header(name, seed))
     print(f"{output}: {len(graphs)} graphs")
@@ -204,6 +227,26 @@ def describe(name: Positional[str]) -> None:
     print(json.dumps(statistics(registry.load(name)), indent=2))
 
 
+app.command(data_app, name="data", help="Generate or describe data sets.")
+
+
+def _check_at_least(option: str, value: int, least: int) -> None:
+    """Refuses a number that is too small."""
+    if value < least:
+        raise ValueError(f"{option} must be at least {least}, got {value}")
+
+
+def _check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Refuses, before minutes of work, a file that could not be written after them."""
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        expected = " or ".join(suffixes)
+        raise ValueError(f"{path}: the name ends in {path.suffix!r}, expected {expected}")
+    if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise ValueError(f"{path}: cannot be written, expected a file in a folder that can")
+
+
 def _trained(weights: str, diffusion_steps: int | None) -> Any:
     """Loads weights, with another number of sampling steps if one is asked for."""
     from sg3d_jax.train.weights import load_weights, with_diffusion_steps
@@ -212,13 +255,13 @@ def _trained(weights: str, diffusion_steps: int | None) -> Any:
     return trained if diffusion_steps is None else with_diffusion_steps(trained, diffusion_steps)
 
 
-def _read_config(path: str) -> Any:
+def _read_config(path: Path) -> Any:
     """Runs a configuration file and returns its CONFIG."""
     from sg3d_jax.train.config import Config
 
-    if not Path(path).is_file():
+    if not path.is_file():
         raise ValueError(f"{path}: no such configuration file; configs/ holds some")
-    config = runpy.run_path(path).get("CONFIG")
+    config = runpy.run_path(str(path)).get("CONFIG")
     if not isinstance(config, Config):
         raise ValueError(f"{path}: expected a variable CONFIG of type sg3d_jax.train.config.Config")
     return config
@@ -272,16 +315,19 @@ def _draw_worst(path: Path, graphs: list, truth: list, fgw: list[float], count: 
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs the command line; exits with 2 after a refusal."""
+    """Runs the command line; exits with 2 after a refusal, with 130 after Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         match arguments:
-            case ["data", *rest]:
-                data_app.cli(args=rest, prog="sg3d data", description="Data sets.")
-            case ["train", config, *rest] if not config.startswith("-"):
-                train(config, rest)
+            case ["--version"]:
+                print(f"sg3d {sg3d_jax.__version__}")
+            case ["train", config, *overrides] if not config.startswith("-"):
+                train(Path(config), tuple(overrides))
             case _:
-                app.cli(args=arguments, prog="sg3d", description=__doc__)
-    except (ValueError, OSError, FloatingPointError) as error:
+                app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
+    except (ValueError, OverflowError, OSError, FloatingPointError) as error:
         print(f"sg3d: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("sg3d: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from orbax.checkpoint import v1 as ocp
 
 from sg3d_jax.train.step import TrainState
@@ -48,10 +50,9 @@ def restore(checkpoints: Checkpoints, template: TrainState, step: int) -> TrainS
       template: a state of the same shapes; its values do not matter.
       step: one that is kept.
     """
-    abstract = jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding), template
-    )
-    return checkpoints.manager.load_checkpointables(step, {"state": abstract})["state"]
+    abstract = jax.tree.map(np.asarray, template)
+    loaded = checkpoints.manager.load_checkpointables(step, {"state": abstract})["state"]
+    return jax.tree.map(jnp.asarray, loaded)  # on no device in particular, as a new state
 
 
 def close(checkpoints: Checkpoints) -> None:

@@ -5,7 +5,6 @@ import json
 from typing import Any
 
 from sg3d_jax.fill.fd4 import FD4Config
-from sg3d_jax.flagg.corrupt import CorruptionConfig
 from sg3d_jax.flagg.step import FlaggConfig
 
 
@@ -62,17 +61,44 @@ def from_dict(values: dict[str, Any]) -> Config:
     """Rebuilds a configuration from `to_dict`, or from its JSON.
 
     Raises:
-      TypeError: a field is unknown.
+      ValueError: a field is unknown.
     """
-    flagg = dict(values["flagg"])
-    flagg["corruption"] = CorruptionConfig(**flagg["corruption"])
-    flagg["coins"], flagg["layers"] = tuple(flagg["coins"]), tuple(flagg["layers"])
-    rest = {key: value for key, value in values.items() if not isinstance(value, dict)}
-    rest["capacities"] = tuple(rest["capacities"])
-    return Config(
-        data=DataConfig(**values["data"]),
-        flagg=FlaggConfig(**flagg),
-        fill=FD4Config(**values["fill"]),
-        optimiser=OptimiserConfig(**values["optimiser"]),
-        **rest,
-    )
+    return _rebuild(Config(), values)
+
+
+def check(config: Config) -> None:
+    """Refuses a configuration that no run can follow.
+
+    Raises:
+      ValueError: one sentence that names the field and what was expected.
+    """
+    for name in ("steps", "batch", "steps_per_call", "validate_every", "validation_graphs"):
+        if getattr(config, name) < 1:
+            raise ValueError(f"{name} is {getattr(config, name)}, expected at least 1")
+    for name in ("steps", "validate_every"):
+        value, unit = getattr(config, name), config.steps_per_call
+        if value % unit:
+            raise ValueError(f"{name} is {value}, expected a multiple of steps_per_call, {unit}")
+    warmup, capacities = config.optimiser.warmup_steps, config.capacities
+    if not 0 <= warmup < config.steps:
+        raise ValueError(f"optimiser.warmup_steps is {warmup}, expected 0 to {config.steps - 1}")
+    if not capacities or list(capacities) != sorted(set(capacities)):
+        raise ValueError(f"capacities is {list(capacities)}, expected increasing node counts")
+
+
+def _rebuild(default: Any, values: dict[str, Any]) -> Any:
+    """Returns a dataclass with the given fields, and its dataclasses likewise; lists are tuples."""
+    fields = {field.name: getattr(default, field.name) for field in dataclasses.fields(default)}
+    unknown = sorted(values.keys() - fields.keys())
+    if unknown:
+        raise ValueError(
+            f"unknown field {unknown[0]!r} of {type(default).__name__}, expected one of "
+            f"{', '.join(fields)}"
+        )
+    chosen = {
+        name: _rebuild(fields[name], value)
+        if dataclasses.is_dataclass(fields[name])
+        else (tuple(value) if isinstance(value, list) else value)
+        for name, value in values.items()
+    }
+    return dataclasses.replace(default, **chosen)

@@ -3,20 +3,17 @@
 import contextlib
 import importlib
 import json
+import math
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-
-class Writer(Protocol):
-    """Somewhere that scalars go."""
-
-    def __call__(self, kind: str, step: int, values: dict[str, float]) -> None:
-        """Records the values of one step under a kind, such as "train" or "validation"."""
+# (kind, step, values): records scalars under a kind, such as "train" or "validation".
+Writer = Callable[[str, int, dict[str, float]], None]
 
 
 class JsonLines(NamedTuple):
@@ -26,9 +23,10 @@ class JsonLines(NamedTuple):
     started: float
 
     def __call__(self, kind: str, step: int, values: dict[str, float]) -> None:
-        """Appends the record, with the seconds since this process began."""
+        """Appends the record, with the seconds since this process began; null if not finite."""
         seconds = round(time.time() - self.started, 1)
-        record = {"kind": kind, "step": step, "seconds": seconds, **values}
+        known = {name: value if math.isfinite(value) else None for name, value in values.items()}
+        record = {"kind": kind, "step": step, "seconds": seconds, **known}
         with self.path.open("a") as file:
             file.write(json.dumps(record) + "\n")
 

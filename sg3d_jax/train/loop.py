@@ -16,11 +16,11 @@ import numpy as np
 from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.flagg.sample import complete
 from sg3d_jax.flagg.step import Flagg, Params
-from sg3d_jax.interop.files import replacing
+from sg3d_jax.interop.files import read_documents, replacing
 from sg3d_jax.metrics.report import score
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train import checkpoint
-from sg3d_jax.train.config import Config, to_json
+from sg3d_jax.train.config import Config, check, to_json
 from sg3d_jax.train.dataset import load_split, stack_by_size, statistics_of
 from sg3d_jax.train.log import display, writers
 from sg3d_jax.train.step import TrainState, init_state, make_train_call
@@ -73,13 +73,16 @@ def train(config: Config, directory: str | Path) -> Path:
       The path of the weights: the averaged parameters of the best validation FGW.
 
     Raises:
-      ValueError: the directory holds a run of another configuration.
+      ValueError: the configuration is no run, or the directory holds a run of another one.
       FloatingPointError: the loss is not finite; the last good checkpoint stays.
     """
     directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    _claim(directory, config)
+    check(config)
+    _check_same_run(directory / "config.json", config)
     run = prepare(config)
+    directory.mkdir(parents=True, exist_ok=True)
+    with replacing(directory / "config.json") as temporary:
+        temporary.write_text(to_json(config) + "\n")
     template = init_state(config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
     checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
     try:
@@ -105,10 +108,11 @@ def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, direc
             bucket = bucket_of_call(config, run.stacks, first // config.steps_per_call)
             state, metrics = train_call(state, key, run.stacks[bucket])
             step, values = int(state.step), {name: float(value) for name, value in metrics.items()}
-            if not np.isfinite(values["loss"]):
+            if not np.isfinite(values["loss"] + values["gradient_norm"]):
                 raise FloatingPointError(
-                    f"{directory}: the loss is {values['loss']} between steps {first} and {step}; "
-                    f"the last good checkpoint is untouched, try a lower learning rate"
+                    f"{directory}: the loss is {values['loss']} with gradients of norm "
+                    f"{values['gradient_norm']} between steps {first} and {step}; the last good "
+                    "checkpoint is untouched, try a lower learning rate"
                 )
             seconds = (time.monotonic() - began) / (step - first)
             for write in record:
@@ -122,17 +126,15 @@ def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, direc
                 shown.advance(step, "  ".join(f"{k} {v:.4f}" for k, v in scores.items()))
 
 
-def _claim(directory: Path, config: Config) -> None:
-    """Writes the configuration into a new run directory, or checks that it is the same."""
-    path = directory / "config.json"
+def _check_same_run(path: Path, config: Config) -> None:
+    """Refuses a run directory whose config.json is of another run."""
     if not path.exists():
-        with replacing(path) as temporary:
-            Path(temporary).write_text(to_json(config) + "\n")
         return
-    there, here = json.loads(path.read_text()), json.loads(to_json(config))
-    changed = [f"{name} {old} there, {new} here" for name, old, new in _changes(there, here)]
+    ((_, there),) = read_documents(path)
+    changed = _changes(there, json.loads(to_json(config)))
     if changed:
-        raise ValueError(f"{path}: the run has another configuration: {'; '.join(changed)}")
+        listed = "; ".join(f"{name} {old} there, {new} here" for name, old, new in changed)
+        raise ValueError(f"{path}: the run has another configuration: {listed}")
 
 
 def _changes(there: dict[str, Any], here: dict[str, Any], prefix: str = "") -> list[tuple]:

@@ -1,5 +1,6 @@
 """The training state and one pure training step, scanned several times a compiled call."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -40,7 +41,8 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
 
 def init_state(config: Config, model: flagg.Flagg, graph: SceneGraph) -> TrainState:
     """Draws the initial state from the run's seed; `graph` is any padded graph."""
-    params = flagg.init(model, jax.random.key(config.seed), graph)
+    init = jax.jit(functools.partial(flagg.init, model))  # compiled, it runs no forward pass
+    params = init(jax.random.key(config.seed), graph)
     optimiser = make_optimiser(config).init(params)
     return TrainState(params, params, optimiser, jnp.zeros((), jnp.int32))
 
@@ -76,7 +78,7 @@ def make_train_call(config: Config, model: flagg.Flagg) -> TrainCall:
         params = optax.apply_updates(state.params, updates)
         decay = jnp.minimum(config.optimiser.ema_decay, (1 + state.step) / (10 + state.step))
         average = optax.incremental_update(params, state.average, 1 - decay)
-        metrics = {"loss": loss, **terms, "gradient_norm": optax.global_norm(gradient)}
+        metrics = {"loss": loss, **terms, "gradient_norm": optax.tree.norm(gradient)}
         return TrainState(params, average, optimiser_state, state.step + 1), metrics
 
     @jax.jit

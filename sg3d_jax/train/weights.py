@@ -94,7 +94,7 @@ def with_diffusion_steps(trained: Trained, topology_steps: int) -> Trained:
 def _read(path: Path, name: str) -> Trained:
     """Reads one weights file."""
     try:
-        with np.load(path, allow_pickle=False) as content:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             arrays = {key: content[key] for key in content.files}
         if str(arrays["format"]) != FORMAT:
             raise ValueError

@@ -1,0 +1,450 @@
+"""The command line, run in this process on the initial weights of a tiny run."""
+
+import functools
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from sg3d_jax import __version__, cli
+from sg3d_jax.data import registry
+from sg3d_jax.flagg import sample
+from sg3d_jax.interop.json import read_graphs
+from sg3d_jax.interop.planes import COLUMNS, planes_to_dict
+from sg3d_jax.scene.concepts import CONCEPTS
+from sg3d_jax.train import loop
+from sg3d_jax.train import weights as weights_module
+from tests.tiny_run import CONFIGS, ROOT, small_floors, untrained_weights
+
+SCENES = [planes_to_dict(graph) for graph in small_floors()[:3]]
+PNG = b"\x89PNG\r\n"
+load_once = functools.cache(weights_module.load_weights)  # a model is compiled once
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory):
+    with jax.debug_key_reuse(False):
+        return str(untrained_weights(tmp_path_factory.mktemp("weights")))
+
+
+@pytest.fixture(autouse=True)
+def _workplace(tmp_path, monkeypatch):
+    """Files by relative names, one compilation, and no check that a vmapped scan fails."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(weights_module, "load_weights", load_once)
+    with jax.debug_key_reuse(False):
+        yield
+
+
+def write(name, content):
+    with open(name, "w") as file:
+        file.write(content if isinstance(content, str) else json.dumps(content))
+    return name
+
+
+def write_lines(name, scenes):
+    return write(name, "".join(json.dumps(scene) + "\n" for scene in scenes))
+
+
+def as_csv(scene):
+    rows = [[*p["centroid"], *p["normal"], p["width"]] for p in scene["planes"]]
+    return "\n".join([",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows)]) + "\n"
+
+
+def run(*arguments):
+    cli.main([str(argument) for argument in arguments])
+
+
+def refusal(capsys, *arguments):
+    """Returns the one line of a refusal, and checks that it is one and nothing is written."""
+    before = sorted(os.listdir("."))
+    with pytest.raises(SystemExit) as caught:
+        run(*arguments)
+    assert caught.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("sg3d: ")
+    assert captured.err.count("\n") == 1
+    assert captured.err.endswith("\n")
+    assert sorted(os.listdir(".")) == before
+    return captured.err.removeprefix("sg3d: ").strip()
+
+
+def documents(name):
+    with open(name) as file:
+        return [json.loads(line) for line in file]
+
+
+def observed(document):
+    """Returns the planes of a grown document as the input had them."""
+    planes = [node for node in document["nodes"] if node["label"] == "plane"]
+    names = (("centroid", "position"), ("normal", "normal"), ("width", "width"))
+    return {"planes": [{theirs: plane[ours] for theirs, ours in names} for plane in planes]}
+
+
+def test_planes_become_a_graph_and_a_picture(weights, capsys):
+    write("planes.json", SCENES[0])
+    run(
+        *("complete", "planes.json", "-o", "graph.json", "--picture", "graph.png"),
+        *("--weights", weights, "--seed", 5),
+    )
+    with open("graph.json") as file:
+        document = json.load(file)
+    assert observed(document) == SCENES[0]  # the same floats
+    nodes = document["nodes"]
+    assert [node["id"] for node in nodes] == list(range(len(nodes)))
+    num_planes = len(SCENES[0]["planes"])
+    assert {node["label"] for node in nodes[:num_planes]} == {"plane"}
+    for node in nodes[num_planes:]:
+        assert node["label"] in CONCEPTS[1:]
+        assert node["normal"] is None
+        assert node["width"] is None
+        assert np.isfinite(node["position"]).all()
+    assert all(0 <= end < len(nodes) for edge in document["edges"] for end in edge)
+    assert document["halt_reason"] in sample.HALT_REASONS[1:]
+    assert document["seed"] == 5
+    assert document["weights"] == weights
+    with open("graph.png", "rb") as file:
+        assert file.read(len(PNG)) == PNG
+    assert "graph.json: scene 0 sample 0" in capsys.readouterr().out
+    assert sorted(os.listdir(".")) == ["graph.json", "graph.png", "planes.json"]
+    assert len(read_graphs("graph.json")[0].nodes.label) == len(nodes)
+
+
+def test_scenes_come_out_in_their_order(weights):
+    write_lines("planes.jsonl", SCENES)
+    run("complete", "planes.jsonl", "-o", "graphs.jsonl", "--weights", weights)
+    grown = documents("graphs.jsonl")
+    assert [observed(document) for document in grown] == SCENES
+    assert [document["scene"] for document in grown] == [0, 1, 2]
+
+
+def test_samples_differ_and_come_scene_by_scene(weights):
+    write_lines("planes.jsonl", SCENES[:2])
+    run(
+        *("complete", "planes.jsonl", "-o", "graphs.jsonl", "--weights", weights, "--samples", 3),
+        *("--picture", "graph.svg"),
+    )
+    grown = documents("graphs.jsonl")
+    assert [(one["scene"], one["sample"]) for one in grown] == [
+        (scene, index) for scene in range(2) for index in range(3)
+    ]
+    assert len({json.dumps(one["nodes"]) for one in grown}) == 6
+    assert os.path.getsize("graph.svg") > 0
+
+
+def test_a_table_gives_what_json_gives(weights):
+    write("planes.json", SCENES[1])
+    write("planes.csv", as_csv(SCENES[1]))
+    for name in ("json", "csv"):
+        run("complete", f"planes.{name}", "-o", f"from_{name}.json", "--weights", weights)
+    with open("from_json.json") as one, open("from_csv.json") as other:
+        assert one.read() == other.read()
+
+
+def test_the_seed_fixes_the_sample(weights):
+    write("planes.json", SCENES[0])
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        run(
+            *("complete", "planes.json", "-o", f"{name}.json", "--weights", weights),
+            *("--seed", seed),
+        )
+    one, again, other = (Path(f"{name}.json").read_text() for name in "abc")
+    assert one == again
+    assert json.loads(one)["nodes"] != json.loads(other)["nodes"]
+
+
+def test_one_scene_may_go_to_json_lines(weights):
+    write("planes.json", SCENES[0])
+    run("complete", "planes.json", "-o", "graph.jsonl", "--weights", weights)
+    assert [observed(document) for document in documents("graph.jsonl")] == SCENES[:1]
+
+
+def test_a_graph_that_did_not_come_to_its_end_is_warned_of(weights, capsys, monkeypatch):
+    grown = sample.Completion(small_floors()[0], "CAPACITY", 3)
+    monkeypatch.setattr(sample, "complete", lambda *arguments: [[grown]])
+    run("complete", write("a.json", SCENES[0]), "-o", "graph.json", "--weights", weights)
+    warning = "sg3d: warning: scene 0 sample 0 stopped by CAPACITY, so its graph is incomplete\n"
+    assert capsys.readouterr().err == warning
+    with open("graph.json") as file:
+        assert json.load(file)["halt_reason"] == "CAPACITY"
+
+
+def changed(**fields):
+    first, *rest = SCENES[0]["planes"]
+    return {"planes": [*rest, {**first, **fields}]}
+
+
+def in_millimetres(scene):
+    return {
+        "planes": [
+            {
+                "centroid": [1000 * x for x in plane["centroid"]],
+                "normal": plane["normal"],
+                "width": 1000 * plane["width"],
+            }
+            for plane in scene["planes"]
+        ]
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("a.json", changed(width=float("nan")), "width is nan, expected finite numbers"),
+        ("a.json", changed(centroid=[0, float("inf"), 0]), "expected finite numbers"),
+        ("a.json", changed(normal=[2, 0, 0]), "normal is [2, 0, 0], expected length 1"),
+        ("a.json", changed(normal=[0, 0, 1]), "expected |z| <= 0.05, as of vertical planes"),
+        ("a.json", {"planes": []}, "planes holds no planes, expected at least two"),
+        ("a.json", {"planes": SCENES[0]["planes"][:1]}, "planes holds one plane"),
+        ("a.json", {"planes": SCENES[0]["planes"][:2] * 2}, "planes[2] repeats planes[0]"),
+        ("a.json", in_millimetres(SCENES[0]), "looks like millimetres"),
+        ("a.json", "{", "not JSON at line 1 column 2"),
+        ("a.json", "", "not JSON at line 1 column 1"),
+        ("a.json", changed(height=2.5), "has 'height', expected exactly centroid, normal, width"),
+        ("a.jsonl", json.dumps(SCENES[0]) + "\n{}\n", "line 2: the scene lacks 'planes'"),
+        ("a.csv", as_csv(SCENES[0]).replace("cx", "x"), "unknown column 'x'"),
+        ("a.csv", as_csv(SCENES[0]).replace("width", "width,label"), "unknown column 'label'"),
+        ("a.txt", "", "the name ends in '.txt', expected .json, .jsonl or .csv"),
+    ],
+)
+def test_bad_planes_are_refused(weights, capsys, name, content, sentence):
+    write(name, content)
+    line = refusal(
+        capsys, "complete", name, "-o", "graph.json", "--picture", "a.png", "--weights", weights
+    )
+    assert line.startswith(name)
+    assert sentence in line
+
+
+def test_other_bad_input_to_complete_is_refused(weights, capsys, tmp_path):
+    write("a.json", SCENES[0])
+    write_lines("a.jsonl", SCENES)
+    (tmp_path / "folder.json").mkdir()
+    broken = write("broken.npz", "no weights")
+    sound = ("complete", "a.json", "-o", "graph.json", "--weights", weights)
+    for arguments, sentence in (
+        ((*sound, "--samples", 0), "--samples must be at least 1, got 0"),
+        ((*sound, "--seed", -1), "--seed must be at least 0, got -1"),
+        ((*sound, "--seed", 10**30), "too large"),
+        ((*sound, "--diffusion-steps", 0), "diffusion steps must be in 1..500, got 0"),
+        ((*sound, "--diffusion-steps", 501), "diffusion steps must be in 1..500, got 501"),
+        ((*sound[:-1], "fd5"), "unknown weights 'fd5', expected the path of an npz file or one of"),
+        ((*sound[:-1], broken), "broken.npz: not a weights file of this version"),
+        (("complete", "b.json", *sound[2:]), "b.json: No such file or directory"),
+        ((*sound, "-o", "nowhere/graph.json"), "nowhere/graph.json: cannot be written"),
+        ((*sound, "-o", "folder.json"), "folder.json: cannot be written"),
+        ((*sound, "-o", "graph"), "graph: the name ends in '', expected .json or .jsonl"),
+        ((*sound, "--picture", "nowhere/a.png"), "nowhere/a.png: cannot be written"),
+        ((*sound, "--picture", "a.bmp"), "a.bmp: the name ends in '.bmp', expected .png or .pdf"),
+        ((*sound, "--samples", 2), "graph.json: a .json file holds one graph, expected the name"),
+        (("complete", "a.jsonl", *sound[2:]), "of a .jsonl file for 3 graphs"),
+    ):
+        assert sentence in refusal(capsys, *arguments)
+
+
+def test_a_folder_without_permission_is_refused_before_growing(weights, capsys, monkeypatch):
+    write("a.json", SCENES[0])
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # nothing stops root
+    line = refusal(capsys, "complete", "a.json", "-o", "graph.json", "--weights", weights)
+    assert line.startswith("graph.json: cannot be written")
+
+
+def test_a_graph_is_drawn(capsys):
+    graphs = [{"nodes": [node(0, "room")], "edges": []}, {"nodes": [node(7, "floor")], "edges": []}]
+    write_lines("graphs.jsonl", graphs)
+    run("view", "graphs.jsonl", "-o", "a.png", "--index", 1)
+    with open("a.png", "rb") as file:
+        assert file.read(len(PNG)) == PNG
+    capsys.readouterr()
+    for arguments, sentence in (
+        (("graphs.jsonl", "-o", "b.png", "--index", 2), "--index must be in 0..1, got 2"),
+        (("nothing.json", "-o", "b.png"), "nothing.json: No such file"),
+        (("graphs.jsonl", "-o", "b.xyz"), "expected"),
+        (("graphs.jsonl", "-o", "nowhere/b.png"), "nowhere/b.png"),
+    ):
+        assert sentence in refusal(capsys, "view", *arguments)
+
+
+def node(name, label):
+    return {"id": name, "label": label, "position": [0, 0, 1]}
+
+
+def test_a_data_set_is_made_and_described(capsys):
+    run("data", "make", "s-f", "-o", "a.npz", "--num-graphs", 3, "--seed", 4)
+    assert capsys.readouterr().out == "a.npz: 3 graphs\n"
+    made, expected = registry.load("a.npz"), registry.make("s-f", 3, 4)
+    assert [graph.nodes.position.tolist() for graph in made] == [
+        graph.nodes.position.tolist() for graph in expected
+    ]
+    run("data", "describe", "a.npz")
+    assert json.loads(capsys.readouterr().out)["num_graphs"] == 3
+
+
+def test_bad_input_to_data_is_refused(capsys):
+    for arguments, sentence in (
+        (("make", "s-g", "-o", "a.npz"), "unknown data set 's-g'"),
+        (("make", "s-f", "-o", "a.npz", "--num-graphs", 0), "--num-graphs must be at least 1"),
+        (("make", "s-f", "-o", "a.npz", "--seed", -1), "--seed must be at least 0"),
+        (("make", "s-f", "-o", "a.txt"), "the name ends in '.txt', expected .npz"),
+        (("make", "s-f", "-o", "nowhere/a.npz"), "nowhere/a.npz: cannot be written"),
+        (("describe", "nothing"), "unknown data set 'nothing'"),
+        (("describe", write("b.npz", "x")), "b.npz"),
+    ):
+        assert sentence in refusal(capsys, "data", *arguments)
+
+
+def test_weights_are_evaluated(weights, capsys):
+    run(
+        *("evaluate", weights, "--num-graphs", 2, "-o", "scores.json", "--sheet", "worst.png"),
+        *("--split", "validation"),
+    )
+    with open("scores.json") as file:
+        scores = json.load(file)
+    assert scores["graphs"] == 2
+    assert len(scores["fgw_per_graph"]) == 2
+    assert np.isclose(scores["fgw"], np.mean(scores["fgw_per_graph"]))
+    assert (scores["weights"], scores["split"], scores["seed"]) == (weights, "validation", 0)
+    assert 0 <= scores["halted"] <= 1
+    assert f"{scores['fgw']:.4f}" in capsys.readouterr().out
+    assert os.path.getsize("worst.png") > 0
+
+
+def test_bad_input_to_evaluate_is_refused(weights, capsys):
+    for arguments, sentence in (
+        (("fd5",), "unknown weights 'fd5'"),
+        ((weights, "--data", "s-g"), "unknown data set 's-g'"),
+        ((weights, "--num-graphs", 0), "--num-graphs must be at least 1, got 0"),
+        ((weights, "-o", "scores.txt"), "the name ends in '.txt', expected .json"),
+        ((weights, "--sheet", "nowhere/a.png"), "nowhere/a.png: cannot be written"),
+        ((weights, "--diffusion-steps", 0), "diffusion steps must be in 1..500, got 0"),
+    ):
+        assert sentence in refusal(capsys, "evaluate", *arguments)
+
+
+@pytest.fixture
+def trained_with(monkeypatch):
+    """Records with what `sg3d train` calls the training loop."""
+    calls = []
+
+    def train(config, directory):
+        calls.append((config, directory))
+        return directory / "weights.npz"
+
+    monkeypatch.setattr(loop, "train", train)
+    return calls
+
+
+def test_fields_are_overridden_by_their_names(trained_with, capsys):
+    run(
+        *("train", CONFIGS / "test.py", "--steps", 4, "--batch", 2, "-o", "there"),
+        *("--fill.layers", 3, "--optimiser.learning-rate", "1e-4", "--flagg.coins", 1, 2),
+    )
+    ((config, directory),) = trained_with
+    assert (config.steps, config.batch, config.fill.layers) == (4, 2, 3)
+    assert config.optimiser.learning_rate == 1e-4
+    assert config.flagg.coins == (1, 2)
+    assert config.capacities == (96,)  # of the file
+    assert str(directory) == "there"
+    assert capsys.readouterr().out.startswith("there/weights.npz")
+
+
+def test_a_run_without_a_directory_has_the_name_of_its_configuration(trained_with):
+    run("train", CONFIGS / "test.py")
+    assert str(trained_with[0][1]) == os.path.join("runs", "test")
+
+
+def test_bad_input_to_train_is_refused(capsys):
+    for arguments, sentence in (
+        (("nothing.py",), "nothing.py: no such configuration file"),
+        ((write("empty.py", ""),), "empty.py: expected a variable CONFIG"),
+        ((CONFIGS / "test.py", "--steps", 9), "steps is 9, expected a multiple of steps_per_call"),
+        ((CONFIGS / "test.py", "--data.name", "s-g", "-o", "run"), "unknown data set 's-g'"),
+    ):
+        assert sentence in refusal(capsys, "train", *arguments)
+
+
+def test_a_loss_that_is_not_finite_is_one_line(capsys, monkeypatch):
+    def diverge(config, directory):
+        raise FloatingPointError("the loss is nan")
+
+    monkeypatch.setattr(loop, "train", diverge)
+    assert refusal(capsys, "train", CONFIGS / "test.py") == "the loss is nan"
+
+
+def test_control_c_is_one_line(capsys, monkeypatch):
+    def interrupt(config, directory):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(loop, "train", interrupt)
+    with pytest.raises(SystemExit) as caught:
+        run("train", CONFIGS / "test.py")
+    assert caught.value.code == 130
+    assert capsys.readouterr().err == "sg3d: interrupted\n"
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"]])
+def test_help_names_every_command(capsys, arguments):
+    with pytest.raises(SystemExit) as caught:
+        run(*arguments)
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    assert "usage: sg3d" in out
+    assert all(name in out for name in ("complete", "view", "train", "evaluate", "data"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["complete"], ["planes", "--picture", "--samples", "--seed", "--weights"]),
+        (["view"], ["--index"]),
+        (["evaluate"], ["--num-graphs", "--split", "--sheet"]),
+        (["train"], ["configs/", "CONFIG --help"]),
+        (["train", CONFIGS / "test.py"], ["--steps", "--fill.layers", "--output"]),
+        (["data"], ["make", "describe"]),
+        (["data", "make"], ["--num-graphs"]),
+    ],
+)
+def test_every_command_explains_itself(capsys, monkeypatch, arguments, words):
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as caught:
+        run(*arguments, "--help")
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    assert [word for word in words if word not in out] == []
+
+
+@pytest.mark.parametrize("arguments", [["complet", "a.json"], ["data", "mak"], ["train"]])
+def test_an_unknown_command_is_refused(capsys, arguments):
+    with pytest.raises(SystemExit) as caught:
+        run(*arguments)
+    assert caught.value.code == 2
+    assert "sg3d" in capsys.readouterr().err
+
+
+def test_the_program_runs_as_a_process(tmp_path):
+    program = [sys.executable, "-c", "from sg3d_jax.cli import main; main()"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = functools.partial(
+        subprocess.run, env=environment, capture_output=True, text=True, cwd=tmp_path, timeout=100
+    )
+    version = process([*program, "--version"])
+    assert (version.returncode, version.stdout, version.stderr) == (0, f"sg3d {__version__}\n", "")
+    refused = process([*program, "complete", "a.json", "-o", "b.json"])
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("sg3d: a.json: No such file")
+    assert refused.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_needs_little_of_the_package():
+    program = "import sys, sg3d_jax.cli; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    assert {"ott", "orbax", "optax", "matplotlib"} & set(loaded.stdout.split()) == set()

@@ -1,0 +1,25 @@
+"""The examples are scenes that anyone can complete."""
+
+import numpy as np
+import pytest
+
+from sg3d_jax.flagg.sample import growth_capacity
+from sg3d_jax.interop.planes import read_planes
+from sg3d_jax.scene.validate import validate_planes
+from tests.tiny_run import ROOT
+
+FILES = sorted((ROOT / "examples").iterdir())
+
+
+def test_there_is_one_of_every_format():
+    assert {path.suffix for path in FILES} >= {".json", ".jsonl", ".csv"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_every_example_is_read_and_sound(path):
+    scenes = read_planes(path)
+    assert len(scenes) > 1 if path.suffix == ".jsonl" else len(scenes) == 1
+    for scene in scenes:
+        validate_planes(*scene.nodes[1:4], str(path))
+        assert growth_capacity(len(scene.nodes.label)).nodes <= 128
+        np.testing.assert_allclose(np.linalg.norm(scene.nodes.normal, axis=1), 1, atol=1e-6)

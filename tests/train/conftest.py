@@ -1,0 +1,58 @@
+"""One tiny run, trained once for every test here, and its compiled programs."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import pytest
+
+from sg3d_jax.train import loop
+from sg3d_jax.train.config import Config
+from sg3d_jax.train.loop import Run
+from sg3d_jax.train.step import TrainCall, TrainState, init_state, make_train_call
+from tests.tiny_run import tiny_config
+
+
+class Trained(NamedTuple):
+    directory: Path
+    run: Run
+    initial: TrainState
+    train_call: TrainCall
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """The run from beginning to end, as `sg3d train` does it."""
+    folder = tmp_path_factory.mktemp("trained")
+    with jax.debug_key_reuse(False), pytest.MonkeyPatch.context() as patch:
+        run = loop.prepare(tiny_config(folder))
+        graph = jax.tree.map(lambda leaf: leaf[0], run.stacks[0])
+        initial = init_state(run.config, run.model, graph)
+        programs = Trained(folder / "run", run, initial, make_train_call(run.config, run.model))
+        use(programs, patch)
+        loop.train(run.config, programs.directory)
+    return programs
+
+
+@pytest.fixture
+def programs(trained: Trained, monkeypatch: pytest.MonkeyPatch) -> Trained:
+    """Lets `loop.train` use what is already compiled, for whatever number of steps."""
+    use(trained, monkeypatch)
+    return trained
+
+
+@pytest.fixture(autouse=True)
+def _no_check_of_key_reuse() -> Iterator[None]:
+    """JAX takes a vmapped scan over keys for their reuse."""
+    with jax.debug_key_reuse(False):
+        yield
+
+
+def use(programs: Trained, patch: pytest.MonkeyPatch) -> None:
+    def prepare(config: Config) -> Run:
+        return programs.run._replace(config=config)
+
+    patch.setattr(loop, "prepare", prepare)
+    patch.setattr(loop, "init_state", lambda config, model, graph: programs.initial)
+    patch.setattr(loop, "make_train_call", lambda config, model: programs.train_call)

@@ -1,0 +1,77 @@
+import dataclasses
+import json
+
+import pytest
+
+from sg3d_jax.train.config import Config, OptimiserConfig, check, from_dict, to_dict, to_json
+from tests.tiny_run import CONFIGS, read_config
+
+NAMES = sorted(path.stem for path in CONFIGS.glob("*.py"))
+
+
+def changed(**fields):
+    return dataclasses.replace(read_config("test"), **fields)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_shipped_configuration_is_one_and_can_run(name):
+    config = read_config(name)
+    assert type(config) is Config
+    check(config)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_configuration_survives_json(name):
+    config = read_config(name)
+    assert from_dict(json.loads(to_json(config))) == config
+
+
+def test_what_is_not_given_has_its_default():
+    assert from_dict({"fill": {"layers": 7}}) == dataclasses.replace(
+        Config(), fill=dataclasses.replace(Config().fill, layers=7)
+    )
+
+
+@pytest.mark.parametrize(
+    ("path", "owner"),
+    [
+        ((), "Config"),
+        (("data",), "DataConfig"),
+        (("flagg",), "FlaggConfig"),
+        (("flagg", "corruption"), "CorruptionConfig"),
+        (("fill",), "FD4Config"),
+        (("optimiser",), "OptimiserConfig"),
+    ],
+)
+@pytest.mark.parametrize("value", [3, {"deep": 3}])
+def test_an_unknown_field_is_refused_with_the_fields_there_are(path, owner, value):
+    values = to_dict(Config())
+    place = values
+    for name in path:
+        place = place[name]
+    first = next(iter(place))
+    place["colour"] = value
+    with pytest.raises(ValueError, match=f"unknown field 'colour' of {owner}, expected.*{first}"):
+        from_dict(values)
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"steps": 0}, "steps is 0, expected at least 1"),
+        ({"batch": -1}, "batch is -1, expected at least 1"),
+        ({"steps_per_call": 0}, "steps_per_call is 0, expected at least 1"),
+        ({"validate_every": 0}, "validate_every is 0, expected at least 1"),
+        ({"validation_graphs": 0}, "validation_graphs is 0, expected at least 1"),
+        ({"steps": 9}, "steps is 9, expected a multiple of steps_per_call, 2"),
+        ({"validate_every": 3}, "validate_every is 3, expected a multiple of steps_per_call, 2"),
+        ({"steps": 2}, "optimiser.warmup_steps is 2, expected 0 to 1"),
+        ({"optimiser": OptimiserConfig(warmup_steps=-1)}, "warmup_steps is -1, expected 0 to 7"),
+        ({"capacities": ()}, r"capacities is \[\], expected increasing node counts"),
+        ({"capacities": (48, 24)}, r"capacities is \[48, 24\], expected increasing"),
+        ({"capacities": (24, 24)}, r"capacities is \[24, 24\], expected increasing"),
+    ],
+)
+def test_what_no_run_can_follow_is_refused(fields, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        check(changed(**fields))

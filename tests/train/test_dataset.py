@@ -1,0 +1,161 @@
+import dataclasses
+
+import jax
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from sg3d_jax.data import registry, schema
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.flagg.step import FlaggConfig, cut_graph
+from sg3d_jax.scene.concepts import PART_OF, PROXIMITY
+from sg3d_jax.scene.graph import undirected_edges
+from sg3d_jax.scene.padding import Capacity, pad, unpad
+from sg3d_jax.scene.proximity import connect_planes
+from sg3d_jax.train import dataset
+from sg3d_jax.train.config import DataConfig
+from sg3d_jax.train.dataset import CUTS_A_GRAPH, load_split, stack_by_size, statistics_of
+
+CAPACITIES = (20, 32, 136)
+PARTS = ("train", "validation", "test")
+
+
+@pytest.fixture(scope="module")
+def floors():
+    """Floors of fewer than 32 nodes: two of the three buckets."""
+    graphs = registry.make("s-f-square", 30)
+    return [graph for graph in graphs if len(graph.nodes.label) <= CAPACITIES[1]][:8]
+
+
+@pytest.fixture(scope="module")
+def stacks(floors):
+    return stack_by_size(floors, CAPACITIES)
+
+
+def members(stacks):
+    """Returns the padded graphs of every stack."""
+    return [
+        [jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), stack) for i in range(len(stack[5]))]
+        for stack in stacks
+    ]
+
+
+def test_every_graph_is_in_the_smallest_bucket_that_holds_it_once(floors, stacks):
+    sizes = [len(graph.nodes.label) for graph in floors]
+    expected = [
+        [graph for graph, size in zip(floors, sizes, strict=True) if low < size <= high]
+        for low, high in ((0, 20), (20, 32))
+    ]
+    assert [stack.nodes.label.shape[1] for stack in stacks] == [20, 32]
+    for inside, wanted in zip(members(stacks), expected, strict=True):
+        for padded, graph in zip(inside, wanted, strict=True):
+            npt.assert_array_equal(unpad(padded).nodes.label, graph.nodes.label)
+            npt.assert_allclose(unpad(padded).nodes.position, graph.nodes.position, rtol=1e-6)
+            npt.assert_array_equal(
+                undirected_edges(unpad(padded), PART_OF), undirected_edges(graph, PART_OF)
+            )
+
+
+def test_proximity_edges_are_those_of_the_graph_alone(floors, stacks):
+    alone = {
+        graph.nodes.position.astype(np.float32).tobytes(): undirected_edges(
+            connect_planes(jax.tree.map(jax.numpy.asarray, pad(graph, Capacity(64, 768)))),
+            PROXIMITY,
+        )
+        for graph in floors[:3]
+    }
+    padded = [graph for inside in members(stacks) for graph in inside]
+    seen = {unpad(g).nodes.position.astype(np.float32).tobytes(): g for g in padded}
+    for positions, edges in alone.items():
+        npt.assert_array_equal(undirected_edges(seen[positions], PROXIMITY), edges)
+        assert len(edges)
+
+
+def test_edge_slots_hold_every_edge_and_few_more(stacks):
+    for stack in stacks:
+        slots = stack.senders.shape[1]
+        needed = int(stack.n_edge[:, 0].max())
+        assert needed <= slots < needed + 32
+        npt.assert_array_equal(stack.n_edge.sum(axis=1), slots)
+        npt.assert_array_equal(stack.edges.mask.sum(axis=1), stack.n_edge[:, 0])
+
+
+def test_a_graph_that_no_capacity_holds_is_refused(floors):
+    largest = int(np.argmax([len(graph.nodes.label) for graph in floors]))
+    size = len(floors[largest].nodes.label)
+    sentence = f"graph {largest} has {size} nodes, more than the largest training capacity, 8"
+    with pytest.raises(ValueError, match=sentence):
+        stack_by_size(floors, (4, 8))
+
+
+def test_statistics_are_those_that_numpy_counts_on_the_same_cuts(stacks):
+    config = FlaggConfig(coins=(1, 4))
+    counted = statistics_of(config, stacks[:1])
+    expected = count_with_numpy(config, stacks[0], jax.random.split(jax.random.key(0), 1)[0])
+    for one, other in zip(counted, expected, strict=True):
+        npt.assert_allclose(one, other, rtol=1e-4, atol=1e-6)
+
+
+def test_every_graph_counts_the_same_whatever_its_bucket(floors, stacks, monkeypatch):
+    monkeypatch.setattr(dataset, "cut_graph", lambda config, key, graph: graph.n_node[0])
+    mean = lambda cuts: Statistics(*[cuts.astype(float).mean()] * len(Statistics._fields))
+    monkeypatch.setattr(dataset, "count_statistics", mean)
+    expected = np.mean([len(graph.nodes.label) for graph in floors])
+    npt.assert_allclose(statistics_of(FlaggConfig(), stacks), expected, rtol=1e-6)
+
+
+def count_with_numpy(config, graphs, key):
+    def several(key, graph):
+        return jax.vmap(lambda key: cut_graph(config, key, graph))(
+            jax.random.split(key, CUTS_A_GRAPH)
+        )
+
+    keys = jax.random.split(key, graphs.n_node.shape[0])
+    cuts = jax.tree.map(np.asarray, jax.jit(jax.vmap(several))(keys, graphs))
+    label, inside, across, length = np.zeros(6), [], [], []
+    for graph in range(len(cuts.complete)):
+        for draw in range(CUTS_A_GRAPH):
+            block = jax.tree.map(lambda leaf, at=(graph, draw): leaf[at], cuts.block)
+            old = jax.tree.map(lambda leaf, at=(graph, draw): leaf[at], cuts.survivors.nodes)
+            position = np.concatenate([block.position, old.position]).astype(float)
+            for row in np.flatnonzero(block.mask):
+                label[block.label[row]] += 1
+                others = [*range(row), *(len(block.mask) + np.flatnonzero(old.mask))]
+                for other in others:
+                    is_edge = bool(block.edges[row, other])
+                    (inside if other < row else across).append(is_edge)
+                    if is_edge:
+                        length.append(np.linalg.norm(position[row] - position[other]))
+    shares = [np.array([1 - np.mean(edges), np.mean(edges)]) for edges in (inside, across)]
+    return label / label.sum(), *shares, np.mean(length), np.std(length) + 1e-3
+
+
+def test_parts_share_no_graph_and_leave_none_out():
+    config = DataConfig("s-f-square", num_graphs=12)
+    parts = {part: [g.nodes.position.tobytes() for g in load_split(config, part)] for part in PARTS}
+    assert [len(parts[part]) for part in PARTS] == [7, 2, 3]
+    everything = {graph.nodes.position.tobytes() for graph in registry.make("s-f-square", 12)}
+    assert set().union(*parts.values()) == everything
+    assert len(everything) == 12
+
+
+def test_a_file_is_split_as_the_data_set_of_its_name(tmp_path):
+    schema.save(tmp_path / "a.npz", registry.make("s-f", 12), registry.header("s-f"))
+    by_name = DataConfig("s-f", num_graphs=10)
+    by_path = dataclasses.replace(by_name, name=str(tmp_path / "a.npz"))
+    for part in PARTS:
+        for one, other in zip(load_split(by_name, part), load_split(by_path, part), strict=True):
+            npt.assert_array_equal(one.nodes.position, other.nodes.position)
+
+
+def test_seeds_change_the_graphs_and_how_they_are_dealt():
+    config = DataConfig("s-f-square", num_graphs=12)
+    widths = {
+        tuple(load_split(chosen, "train")[0].nodes.width)
+        for chosen in (
+            config,
+            dataclasses.replace(config, seed=1),
+            dataclasses.replace(config, split_seed=1),
+        )
+    }
+    assert len(widths) == 3

@@ -1,0 +1,243 @@
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.testing as npt
+import optax
+import pytest
+
+from sg3d_jax.flagg.sample import complete
+from sg3d_jax.train import checkpoint, loop
+from sg3d_jax.train.config import to_json
+from sg3d_jax.train.loop import bucket_of_call, prepare, train, validate
+from sg3d_jax.train.step import init_state
+from sg3d_jax.train.weights import load_weights
+from tests.tiny_run import read_config
+
+
+def arrays(path):
+    with np.load(path) as content:
+        return {name: content[name] for name in content.files}
+
+
+def assert_same_weights(one, other):
+    first, second = arrays(one), arrays(other)
+    assert first.keys() == second.keys()
+    for name, array in first.items():
+        npt.assert_array_equal(array, second[name], err_msg=name)
+
+
+def log_of(directory, kind=None):
+    lines = map(json.loads, (directory / "log.jsonl").read_text().splitlines())
+    return [line for line in lines if kind in (None, line["kind"])]
+
+
+def kept_in(directory):
+    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
+    try:
+        return checkpoint.steps(checkpoints)
+    finally:
+        checkpoint.close(checkpoints)
+
+
+def stop_at(step, monkeypatch, error):
+    """Makes the run end with an error when it would go on from a step."""
+    through = loop.make_train_call(None, None)
+
+    def call(state, key, graphs):
+        if int(state.step) == step:
+            raise error
+        return through(state, key, graphs)
+
+    monkeypatch.setattr(loop, "make_train_call", lambda config, model: call)
+
+
+def poison(name, step, monkeypatch):
+    """Makes a metric of the call from a step NaN."""
+    through = loop.make_train_call(None, None)
+
+    def call(state, key, graphs):
+        first = int(state.step)
+        state, metrics = through(state, key, graphs)
+        return state, {**metrics, name: jnp.nan} if first == step else metrics
+
+    monkeypatch.setattr(loop, "make_train_call", lambda config, model: call)
+
+
+def scripted(scores, monkeypatch):
+    """Replaces validation by given values of FGW."""
+    values = iter(scores)
+    monkeypatch.setattr(loop, "validate", lambda run, params: {"fgw": next(values)})
+
+
+def test_a_run_leaves_its_configuration_its_log_and_its_weights(trained):
+    there = {path.name for path in trained.directory.iterdir()}
+    assert there - {"tensorboard"} == {"config.json", "log.jsonl", "checkpoints", "weights.npz"}
+    assert (trained.directory / "config.json").read_text() == to_json(trained.run.config) + "\n"
+    for kind, steps in (("train", [4, 8, 12, 16, 20, 24]), ("validation", [12, 24])):
+        assert [line["step"] for line in log_of(trained.directory, kind)] == steps
+
+
+def test_a_run_that_was_interrupted_goes_on_bit_for_bit(programs, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        stop_at(20, patch, KeyboardInterrupt)
+        with pytest.raises(KeyboardInterrupt):
+            train(programs.run.config, tmp_path)
+    assert [step for step, _ in kept_in(tmp_path)] == [12]
+    assert not (tmp_path / "weights.npz").exists()
+    weights = train(programs.run.config, tmp_path)
+    assert_same_weights(weights, programs.directory / "weights.npz")
+
+
+def test_a_run_is_a_function_of_its_configuration(programs, tmp_path):
+    assert_same_weights(train(programs.run.config, tmp_path), programs.directory / "weights.npz")
+    again = prepare(programs.run.config)
+    for one, other in zip(
+        *map(jax.tree.leaves, ((again.statistics, again.stacks), programs.run[2:4])), strict=True
+    ):
+        npt.assert_array_equal(one, other)
+
+
+def test_a_finished_run_is_left_as_it_is(programs, tmp_path, monkeypatch):
+    scripted([0.2, 0.1], monkeypatch)
+    first = arrays(train(programs.run.config, tmp_path))
+    lines = log_of(tmp_path)
+    assert arrays(train(programs.run.config, tmp_path)).keys() == first.keys()
+    assert log_of(tmp_path) == lines
+
+
+def test_the_weights_are_the_average_of_the_best_validation(programs, tmp_path, monkeypatch):
+    scripted([np.inf, 0.1, 0.4], monkeypatch)
+    config = dataclasses.replace(programs.run.config, validate_every=8)
+    weights = train(config, tmp_path)
+    assert kept_in(tmp_path) == [(16, 0.1), (24, 0.4)]
+    state = restored(programs, tmp_path, 16)
+    loaded = load_weights(weights)
+    for one, other in zip(*map(jax.tree.leaves, (loaded.params, state.average)), strict=True):
+        npt.assert_array_equal(one, other)
+    assert not all(
+        np.array_equal(*pair)
+        for pair in zip(*map(jax.tree.leaves, (state.params, state.average)), strict=True)
+    )
+
+
+def restored(programs, directory, step):
+    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
+    try:
+        return checkpoint.restore(checkpoints, programs.initial, step)
+    finally:
+        checkpoint.close(checkpoints)
+
+
+def test_loaded_weights_grow_what_the_run_grew(trained):
+    best, fgw = min(kept_in(trained.directory), key=lambda step_and_fgw: step_and_fgw[1])
+    loaded = load_weights(trained.directory / "weights.npz")
+    scenes = trained.run.validation
+    params = restored(trained, trained.directory, best).average
+    expected = complete(trained.run.model, params, scenes, seed=3)
+    grown = complete(loaded.model, loaded.params, scenes, seed=3)
+    for one, other in zip(*map(jax.tree.leaves, (grown, expected)), strict=True):
+        npt.assert_array_equal(one, other)
+    scores = validate(trained.run, loaded.params)
+    assert scores["fgw"] == fgw
+    logged = next(line for line in log_of(trained.directory)[::-1] if line["step"] == best)
+    assert {name: logged[name] for name in scores} == scores
+
+
+@pytest.mark.parametrize("name", ["loss", "gradient_norm"])
+def test_a_loss_that_is_not_finite_stops_the_run(programs, tmp_path, monkeypatch, name):
+    scripted([0.5], monkeypatch)
+    poison(name, 16, monkeypatch)
+    sentence = "between steps 16 and 20; the last good checkpoint is untouched"
+    with pytest.raises(FloatingPointError, match=sentence) as caught:
+        train(programs.run.config, tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path}: the loss is")
+    assert "\n" not in str(caught.value)
+    assert kept_in(tmp_path) == [(12, 0.5)]
+    leaves = jax.tree.leaves(restored(programs, tmp_path, 12))
+    assert all(np.isfinite(leaf).all() for leaf in leaves)
+
+
+def test_a_score_that_is_not_finite_is_the_worst(trained, monkeypatch):
+    names = ("fgw", "gw", "w", "exact_structure")
+    monkeypatch.setattr(loop, "score", lambda *graphs: dict.fromkeys(names, np.nan))
+    assert validate(trained.run, load_weights(trained.directory / "weights.npz").params)[
+        "fgw"
+    ] == float("inf")
+
+
+def test_a_directory_of_another_run_is_refused_by_the_fields_that_differ(trained):
+    config = trained.run.config
+    other = dataclasses.replace(
+        config, batch=9, fill=dataclasses.replace(config.fill, layers=3), capacities=(24, 48)
+    )
+    before = {path: path.stat().st_mtime_ns for path in trained.directory.iterdir()}
+    with pytest.raises(ValueError, match=r"config\.json: the run has another") as caught:
+        train(other, trained.directory)
+    for change in ("batch 2 there, 9 here", "fill.layers 1 there, 3 here", "capacities [24] there"):
+        assert change in str(caught.value)
+    assert "steps" not in str(caught.value).replace("fill.topology_steps", "")
+    assert {path: path.stat().st_mtime_ns for path in trained.directory.iterdir()} == before
+
+
+def test_a_broken_run_directory_is_refused(trained, tmp_path):
+    (tmp_path / "config.json").write_text("{")
+    with pytest.raises(ValueError, match=r"config\.json: not JSON at line 1"):
+        train(trained.run.config, tmp_path)
+
+
+def test_a_run_that_cannot_begin_leaves_no_directory(tmp_path):
+    config = dataclasses.replace(
+        read_config("test"), data=dataclasses.replace(read_config("test").data, name="s-g")
+    )
+    with pytest.raises(ValueError, match="unknown data set 's-g'"):
+        train(config, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_buckets_are_drawn_in_proportion_to_their_graphs_from_seed_and_call(trained):
+    config = trained.run.config
+    stacks = [trained.run.stacks[0], jax.tree.map(lambda leaf: leaf[:2], trained.run.stacks[0])]
+    drawn = [bucket_of_call(config, stacks, call) for call in range(400)]
+    assert drawn == [bucket_of_call(config, stacks, call) for call in range(400)]
+    npt.assert_allclose(np.mean(drawn), 2 / 8, atol=0.08)
+    other = dataclasses.replace(config, seed=1)
+    assert drawn != [bucket_of_call(other, stacks, call) for call in range(400)]
+
+
+def test_every_loss_of_the_model_is_there_and_finite(trained):
+    names = {"loss", "label", "edge", "distance", "insert", "halt", "gradient_norm"}
+    assert trained.run.config.flagg.coins == (1, 4)
+    for line in log_of(trained.directory, "train"):
+        assert names <= line.keys()
+        assert all(np.isfinite(line[name]) and line[name] > 0 for name in names)
+
+
+def test_the_loss_of_the_model_falls_within_few_steps(trained):
+    losses = [line["loss"] for line in log_of(trained.directory, "train")]
+    assert np.mean(losses[-2:]) < 0.8 * losses[0]
+
+
+def test_every_parameter_of_the_model_receives_a_finite_gradient(trained):
+    last = restored(trained, trained.directory, trained.run.config.steps)
+    squares = optax.tree.get(last.optimiser, "nu")
+    for path, square in jax.tree.leaves_with_path(squares):
+        assert np.isfinite(square).all(), path
+        assert np.any(square > 0), path
+
+
+def test_initial_parameters_follow_from_the_seed(trained):
+    graph = jax.tree.map(lambda leaf: leaf[0], trained.run.stacks[0])
+    config = dataclasses.replace(trained.run.config, seed=1)
+    states = (
+        trained.initial,
+        *(init_state(chosen, trained.run.model, graph) for chosen in (trained.run.config, config)),
+    )
+    first, again, other = (
+        np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(state.params)])
+        for state in states
+    )
+    npt.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)

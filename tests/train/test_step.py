@@ -1,0 +1,115 @@
+"""Training steps, on a model of two parameters."""
+
+import dataclasses
+import types
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.testing as npt
+import optax
+import pytest
+
+from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.scene.padding import Capacity, stack
+from sg3d_jax.train import step
+from sg3d_jax.train.step import TrainState, make_optimiser, make_train_call
+from tests.tiny_run import read_config, small_floors
+
+CONFIG = dataclasses.replace(read_config("test"), steps=40, batch=3)
+NO_MODEL = Flagg(None, None, None, None)
+START = jnp.array([2.0, -1.0])
+
+
+def one_call(steps_per_call, config=CONFIG):
+    return make_train_call(dataclasses.replace(config, steps_per_call=steps_per_call), NO_MODEL)
+
+
+def toy_loss(model, params, key, graph):
+    noise, width = jax.random.normal(key), graph.nodes.width[0]
+    terms = {"noise": noise, "width": width}
+    return jnp.sum((params - jnp.stack([width, noise])) ** 2), terms
+
+
+@pytest.fixture(autouse=True)
+def _toy(monkeypatch):
+    monkeypatch.setattr(step, "flagg", types.SimpleNamespace(loss=toy_loss, Params=jax.Array))
+
+
+@pytest.fixture(scope="module")
+def graphs():
+    return stack(small_floors(), Capacity(24, 64))
+
+
+def start():
+    optimiser = make_optimiser(CONFIG).init(START)
+    return TrainState(START, START, optimiser, jnp.zeros((), jnp.int32))
+
+
+def run(call, graphs, num_calls):
+    """Returns the states after every call, and the metrics."""
+    states, metrics = [start()], []
+    for _ in range(num_calls):
+        state, values = call(states[-1], jax.random.key(7), graphs)
+        states.append(state)
+        metrics.append({name: float(value) for name, value in values.items()})
+    return states, metrics
+
+
+def test_there_is_one_trace_a_bucket(graphs):
+    call, other = one_call(2), stack(small_floors(), Capacity(32, 64))
+    for bucket, traces in ((graphs, 1), (graphs, 1), (other, 2), (graphs, 2), (other, 2)):
+        call(start(), jax.random.key(0), bucket)
+        assert call._cache_size() == traces
+
+
+def test_a_call_of_many_steps_is_many_calls_of_one(graphs):
+    (_, together), (averaged,) = run(one_call(4), graphs, 1)
+    alone, metrics = run(one_call(1), graphs, 4)
+    assert int(together.step) == int(alone[-1].step) == 4
+    for one, other in zip(*map(jax.tree.leaves, (together, alone[-1])), strict=True):
+        npt.assert_allclose(one, other, rtol=1e-5, atol=1e-7)
+    for name, value in averaged.items():
+        npt.assert_allclose(value, np.mean([row[name] for row in metrics]), rtol=1e-5)
+
+
+def test_the_average_follows_its_formula(graphs):
+    config = dataclasses.replace(
+        CONFIG, optimiser=dataclasses.replace(CONFIG.optimiser, ema_decay=0.3)
+    )
+    states, _ = run(one_call(1, config), graphs, 6)
+    average, decays = np.asarray(START), []
+    for number, state in enumerate(states[1:]):
+        decay = min(0.3, (1 + number) / (10 + number))
+        decays.append(decay)
+        average = decay * average + (1 - decay) * np.asarray(state.params)
+        npt.assert_allclose(state.average, average, rtol=1e-5)
+    assert decays[0] < 0.3 == decays[-1]
+    assert not np.array_equal(states[-1].average, states[-1].params)
+
+
+def test_the_update_is_adam_on_the_clipped_gradient_with_warm_up(graphs):
+    states, metrics = run(one_call(1), graphs, 4)
+    npt.assert_array_equal(states[1].params, START)  # the rate starts at zero
+    moved = np.abs(np.asarray(states[2].params) - np.asarray(START))
+    rate = CONFIG.optimiser.learning_rate / CONFIG.optimiser.warmup_steps
+    assert (moved <= 1.5 * rate).all()
+    assert (moved > 0).all()
+    first_moment = optax.tree.get(states[1].optimiser, "mu")
+    clipped = min(metrics[0]["gradient_norm"], CONFIG.optimiser.clip_norm)
+    npt.assert_allclose(np.linalg.norm(first_moment), 0.1 * clipped, rtol=1e-4)
+
+
+def test_draws_follow_from_the_key_and_the_step(graphs):
+    call = one_call(1)
+    (_, first), (_, again) = (run(call, graphs, 3) for _ in range(2))
+    assert first == again
+    assert len({row["noise"] for row in first}) == 3
+    _, other = call(start(), jax.random.key(8), graphs)
+    assert float(other["noise"]) != first[0]["noise"]
+
+
+def test_every_graph_of_a_bucket_is_drawn(graphs):
+    _, metrics = run(one_call(1, dataclasses.replace(CONFIG, batch=1)), graphs, 60)
+    widths = {np.float32(row["width"]) for row in metrics}
+    assert widths == set(np.asarray(graphs.nodes.width[:, 0]).tolist())

@@ -1,0 +1,122 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.flagg.step import Params
+from sg3d_jax.train import weights
+from sg3d_jax.train.weights import load_weights, names, save_weights, with_diffusion_steps
+from tests.tiny_run import read_config
+
+CONFIG = read_config("test")
+STATISTICS = Statistics(
+    label=jnp.array([0, 0.3, 0.4, 0.2, 0.1, 0]),
+    block_edge=jnp.array([0.9, 0.1]),
+    cross_edge=jnp.array([0.8, 0.2]),
+    distance_mean=jnp.asarray(3.1),
+    distance_std=jnp.asarray(1.7),
+)
+PARAMS = Params(
+    insert={"params": {"dense_0": {"kernel": jnp.arange(6.0).reshape(2, 3) / 7}}},
+    fill={"encoder": {"params": {"scale": jnp.asarray(0.1)}}, "topology": {"a": jnp.ones(2)}},
+    halt={"params": {"dense_0": {"bias": jnp.array([1e-30, -jnp.pi])}}},
+)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return save_weights(tmp_path / "some.npz", CONFIG, STATISTICS, PARAMS)
+
+
+def test_weights_read_back_bit_for_bit(path):
+    loaded = load_weights(path)
+    assert jax.tree.structure(loaded.params) == jax.tree.structure(PARAMS)
+    for one, other in zip(*map(jax.tree.leaves, (loaded.params, PARAMS)), strict=True):
+        assert one.dtype == other.dtype
+        npt.assert_array_equal(one, other)
+    for one, other in zip(loaded.statistics, STATISTICS, strict=True):
+        npt.assert_array_equal(one, other)
+    assert loaded.config == CONFIG
+    assert loaded.name == str(path)
+    assert loaded.model.config == CONFIG.flagg
+
+
+def test_the_file_tells_numpy_alone_what_it_is(path):
+    with np.load(path, allow_pickle=False) as content:
+        assert str(content["format"]) == "sg3d_jax weights 1"
+        assert content["params/insert/params/dense_0/kernel"].shape == (2, 3)
+        assert '"diffusion_steps": 500' in str(content["config"])
+
+
+def test_writing_leaves_one_file(path):
+    assert [file.name for file in path.parent.iterdir()] == ["some.npz"]
+
+
+def test_an_unknown_name_is_refused_with_the_names_and_the_closest_one(monkeypatch):
+    monkeypatch.setattr(weights, "names", lambda: ["fd4-s-f", "fd4-s-f-square"])
+    with pytest.raises(
+        ValueError, match=r"unknown weights 'fd4-sf'.* fd4-s-f, fd4-s-f-square; did"
+    ):
+        load_weights("fd4-sf")
+    with pytest.raises(ValueError, match="did you mean 'fd4-s-f-square'"):
+        load_weights("FD4-s-f-sqare")
+    with pytest.raises(ValueError, match=r"unknown weights 'runs/x\.npz'") as caught:
+        load_weights("runs/x.npz")
+    assert "did you mean" not in str(caught.value)
+
+
+def without(path, key):
+    with np.load(path) as content:
+        kept = {name: content[name] for name in content.files if name != key}
+    np.savez(path, **kept)
+
+
+def replace_format(path):
+    without(path, "format")
+    with np.load(path) as content:
+        np.savez(path, format="sg3d_jax weights 0", **content)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_text("no zip file"),
+        lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+        lambda path: without(path, "format"),
+        lambda path: without(path, "config"),
+        lambda path: without(path, "statistics/label"),
+        replace_format,
+        lambda path: np.savez(path, format=np.array([{}], object)),
+    ],
+)
+def test_a_broken_file_is_refused_in_one_sentence(path, spoil):
+    spoil(path)
+    with pytest.raises(ValueError, match=r"some\.npz: not a weights file") as caught:
+        load_weights(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("steps", [1, 20, 500])
+def test_the_number_of_sampling_steps_can_be_any_of_the_schedule(path, steps):
+    loaded = load_weights(path)
+    other = with_diffusion_steps(loaded, steps)
+    assert other.config.fill.topology_steps == steps
+    assert other.params is loaded.params
+    assert other.config.fill.diffusion_steps == 500
+
+
+@pytest.mark.parametrize("steps", [-1, 0, 501])
+def test_a_number_of_sampling_steps_beyond_the_schedule_is_refused(path, steps):
+    with pytest.raises(ValueError, match=rf"diffusion steps must be in 1\.\.500, got {steps}"):
+        with_diffusion_steps(load_weights(path), steps)
+
+
+@pytest.mark.parametrize("name", names())
+def test_the_weights_of_the_package_load_and_are_finite(name):
+    loaded = load_weights(name)
+    leaves = jax.tree.leaves((loaded.params, loaded.statistics))
+    assert all(np.isfinite(leaf).all() for leaf in leaves)
+    assert f"fd4-{loaded.config.data.name}" == name
