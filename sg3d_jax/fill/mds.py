@@ -15,7 +15,8 @@ from jaxtyping import Array, Bool, Float
 
 from sg3d_jax.nn.embed import Surface, safe_norm
 
-NUM_STEPS = 12
+NUM_STEPS = 20
+LEAST_DAMPING = 3e-5
 
 
 class _Iterate(NamedTuple):
@@ -57,7 +58,9 @@ def recover_positions(
       single neighbour stands at its distance in front of it.
     """
     start = _start(distance, edges, old, old_mask)
-    begin = _Iterate(start, stress(start, old.position, distance, edges), jnp.asarray(1e-3))
+    begin = _Iterate(
+        start, stress(start, old.position, distance, edges), jnp.asarray(LEAST_DAMPING)
+    )
 
     def step(iterate: _Iterate, _: None) -> tuple[_Iterate, None]:
         return _levenberg_step(iterate, distance, edges, old.position), None
@@ -84,14 +87,17 @@ def _levenberg_step(
     same = jnp.eye(num_block)[:, None, :, None]
     hessian = (between + own[:, :, None, :] * same).reshape(3 * num_block, 3 * num_block)
     damped = hessian + iterate.damping * jnp.eye(3 * num_block)
-    move = jnp.linalg.solve(damped, gradient.reshape(-1)).reshape(num_block, 3)
+    # Filtering by the Hessian itself keeps out of directions that no distance fixes: there a plain
+    # damped step amplifies rounding until a wall leaves the line between its planes.
+    move = jnp.linalg.solve(damped, hessian @ jnp.linalg.solve(damped, gradient.reshape(-1)))
+    move = move.reshape(num_block, 3)
     position = iterate.position - move
     value = stress(position, old_position, distance, edges)
     better = value < iterate.stress
     return _Iterate(
         position=jnp.where(better, position, iterate.position),
         stress=jnp.where(better, value, iterate.stress),
-        damping=iterate.damping * jnp.where(better, 0.2, 8.0),
+        damping=jnp.maximum(iterate.damping * jnp.where(better, 0.2, 8.0), LEAST_DAMPING),
     )
 
 
@@ -115,19 +121,21 @@ def _start(
         position = jnp.where(fresh[:, None], mean, position)
         placed = placed.at[:num_block].set(placed[:num_block] | fresh)
     alone = jnp.sum(edges, axis=1) == 1
-    return position + jnp.where(alone[:, None], _in_front(distance, edges, old, everyone), 0.0)
+    tokens = jnp.concatenate([position, old.position])
+    normal = jnp.concatenate([jnp.zeros_like(position), old.normal])
+    step = _in_front(distance, edges, tokens, normal, everyone)
+    return position + jnp.where(alone[:, None], step, 0.0)
 
 
 def _in_front(
     distance: Float[Array, "M tokens"],
     edges: Bool[Array, "M tokens"],
-    old: Surface,
+    position: Float[Array, "tokens 3"],
+    normal: Float[Array, "tokens 3"],
     everyone: Float[Array, "3"],
 ) -> Float[Array, "M 3"]:
     """Returns the step from a single neighbour: along a plane's normal, else towards the others."""
-    num_block = edges.shape[0]
-    inwards = everyone[None] - old.position
+    inwards = everyone[None] - position
     inwards = inwards / safe_norm(inwards)[:, None]
-    facing = jnp.any(old.normal != 0, axis=-1, keepdims=True)
-    direction = jnp.where(facing, old.normal, inwards)
-    return (edges * distance)[:, num_block:] @ direction
+    facing = jnp.any(normal != 0, axis=-1, keepdims=True)
+    return (edges * distance) @ jnp.where(facing, normal, inwards)

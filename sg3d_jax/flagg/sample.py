@@ -74,9 +74,15 @@ def grow_from_planes(
     return final._replace(graph=without_proximity(final.graph))
 
 
-def sample_keys(seed: int, indices: Integer[Array, " B"]) -> Key[Array, " B"]:
-    """Returns one key a sample, folded from its index, so that batching changes nothing."""
-    return jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), indices)
+def sample_keys(
+    seed: int, scenes: Integer[Array, " B"], samples: Integer[Array, " B"]
+) -> Key[Array, " B"]:
+    """Returns a key for each (scene, sample) pair, so that neither batch nor count changes any."""
+
+    def one(scene: Integer[Array, ""], sample: Integer[Array, ""]) -> Key[Array, ""]:
+        return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), scene), sample)
+
+    return jax.vmap(one)(scenes, samples)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 4))
@@ -122,7 +128,7 @@ def complete(
       model: the three modules.
       params: their parameters.
       scenes: host graphs; everything but their planes is ignored.
-      seed: with the position of a scene in `scenes`, fixes its samples.
+      seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
       samples: graphs a scene.
       max_steps: a limit on the number of blocks.
 
@@ -130,21 +136,22 @@ def complete(
       For every scene, in order, its samples.
     """
     observed = [planes_of(scene) for scene in scenes]
-    planes_of_job = [planes for planes in observed for _ in range(samples)]
-    finished: dict[int, Completion] = {}
-    for capacity, jobs in _batches(planes_of_job):
-        batch = [planes_of_job[job] for job in jobs]
-        completions = _complete_batch(model, params, seed, jobs, batch, capacity, max_steps)
-        finished.update(zip(jobs, completions, strict=True))
-    ordered = [finished[job] for job in range(len(planes_of_job))]
-    return [ordered[first : first + samples] for first in range(0, len(ordered), samples)]
+    jobs = [(scene, sample) for scene in range(len(scenes)) for sample in range(samples)]
+    finished: dict[tuple[int, int], Completion] = {}
+    for capacity, batch in _batches(jobs, [len(planes.nodes.label) for planes in observed]):
+        completions = _complete_batch(model, params, seed, batch, observed, capacity, max_steps)
+        finished.update(zip(batch, completions, strict=True))
+    return [[finished[scene, s] for s in range(samples)] for scene in range(len(scenes))]
 
 
-def _batches(planes: Sequence[SceneGraph]) -> Iterator[tuple[Capacity, list[int]]]:
-    """Yields at most BATCH indices of scenes of one bucket; similar sizes need similar steps."""
-    num_planes = [len(graph.nodes.label) for graph in planes]
-    by_size = sorted(range(len(planes)), key=num_planes.__getitem__)
-    for capacity, group in itertools.groupby(by_size, lambda i: growth_capacity(num_planes[i])):
+def _batches(
+    jobs: Sequence[tuple[int, int]], num_planes: Sequence[int]
+) -> Iterator[tuple[Capacity, list[tuple[int, int]]]]:
+    """Yields at most BATCH jobs of one bucket at a time; similar sizes need similar steps."""
+    by_size = sorted(jobs, key=lambda job: num_planes[job[0]])
+    for capacity, group in itertools.groupby(
+        by_size, lambda job: growth_capacity(num_planes[job[0]])
+    ):
         members = list(group)
         for first in range(0, len(members), BATCH):
             yield capacity, members[first : first + BATCH]
@@ -154,20 +161,23 @@ def _complete_batch(
     model: Flagg,
     params: Params,
     seed: int,
-    jobs: Sequence[int],
-    planes: Sequence[SceneGraph],
+    jobs: Sequence[tuple[int, int]],
+    observed: Sequence[SceneGraph],
     capacity: Capacity,
     max_steps: int,
 ) -> list[Completion]:
-    """Grows at most BATCH scenes in one compiled call; idle lanes repeat the last scene."""
-    idle = BATCH - len(jobs)
+    """Grows at most BATCH (scene, sample) pairs in one call; idle lanes repeat the last one."""
+    lanes = [*jobs, *[jobs[-1]] * (BATCH - len(jobs))]
+    planes = [observed[scene] for scene, _ in lanes]
     centres = [centre_of_planes(graph) for graph in planes]
     centred = [_shift(graph, -centre) for graph, centre in zip(planes, centres, strict=True)]
-    keys = sample_keys(seed, jnp.asarray([*jobs, *[jobs[-1]] * idle], jnp.uint32))
-    stacked = stack([*centred, *[centred[-1]] * idle], capacity)
-    grown = jax.tree.map(np.asarray, grow_batch(model, params, keys, stacked, max_steps))
-    lanes = [jax.tree.map(operator.itemgetter(lane), grown) for lane in range(len(jobs))]
-    return [_on_host(*lane) for lane in zip(lanes, planes, centres, strict=True)]
+    keys = sample_keys(seed, *jnp.asarray(lanes, jnp.uint32).T)
+    grown = grow_batch(model, params, keys, stack(centred, capacity), max_steps)
+    grown = jax.tree.map(np.asarray, grown)
+    return [
+        _on_host(jax.tree.map(operator.itemgetter(lane), grown), planes[lane], centres[lane])
+        for lane in range(len(jobs))
+    ]
 
 
 def _shift(graph: SceneGraph, offset: np.ndarray) -> SceneGraph:

@@ -33,6 +33,14 @@ class FlaggConfig:
     depth: int = 2  # GINE layers of Insert and Halt
     halt_by_threshold: bool = True  # False: by a draw
 
+    def __post_init__(self) -> None:
+        """Refuses layers that are not an order of the concepts from the plane upwards."""
+        if self.layers[:1] != ("plane",) or sorted(self.layers) != sorted(CONCEPTS):
+            raise ValueError(
+                f"flagg.layers must begin with 'plane' and name each of {', '.join(CONCEPTS)} "
+                f"once, got {', '.join(self.layers)}"
+            )
+
 
 class Flagg(NamedTuple):
     """The three modules and what they share."""

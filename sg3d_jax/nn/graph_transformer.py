@@ -105,7 +105,7 @@ class RectangleLayer(nn.Module):
         normed = nn.LayerNorm(name="pair_norm")(pairs)
         projected = nn.Dense(self.gates + self.heads + self.pair_width, name="project")(normed)
         claim, logits, hidden = jnp.split(projected, [self.gates, self.gates + self.heads], axis=-1)
-        claim = claim * token_mask[None, :, None]
+        claim = claim * (token_mask[:num_block, None] & token_mask[None, :])[..., None]
         spread = jnp.einsum("hij,mjh->mih", conditioning.propagation, claim[:, num_block:])
         spread = jnp.pad(spread, ((0, 0), (num_block, 0), (0, 0)))
         rivals = jnp.sum(claim, axis=0, keepdims=True) - claim

@@ -90,6 +90,17 @@ def test_a_wall__stands_between_its_two_planes(first, direction, thickness):
     np.testing.assert_allclose(instance.solve()[:1], truth, atol=5e-3)
 
 
+@pytest.mark.parametrize("stretch", [0.7, 1.3])
+def test_a_wall__stays_on_the_line_between_its_planes_whatever_the_distances(stretch):
+    for direction in np.linspace(-3, 3, 20):
+        across = rotation(direction)[:, 0]
+        planes = np.array([[3.0, -2.0, 1.0], [3.0, -2.0, 1.0] + 0.2 * across])
+        middle = planes.mean(axis=0)
+        found = problem(old_links(0, [0, 1]), middle[None], planes, stretch=stretch).solve()[0]
+        off = (found - middle) - ((found - middle) @ across) * across
+        assert np.linalg.norm(off) < 1e-4
+
+
 @given(st.lists(st.integers(0, 7), min_size=4, max_size=8, unique=True), st.integers(0, 1000))
 @settings(deadline=None, max_examples=25)
 def test_a_room__is_found_from_its_distances(olds, seed):

@@ -141,7 +141,7 @@ def test_seeds__give_other_graphs():
 
 def test_a_batch__is_a_loop_over_its_scenes():
     scenes = [planes_of(SCENE), first_planes(5), first_planes(7)]
-    keys, planes = sample.sample_keys(3, jnp.arange(3)), stack(scenes, ROOM_FOR)
+    keys, planes = sample.sample_keys(3, jnp.arange(3), jnp.zeros(3, int)), stack(scenes, ROOM_FOR)
     batch = grow_batch(MODEL, stop_at(12), keys, planes, 50)
     alone = jax.jit(lambda key, planes: grow_from_planes(MODEL, stop_at(12), key, planes, 50))
     for index in range(3):
