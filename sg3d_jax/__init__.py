@@ -1,15 +1,19 @@
 """From the planes that a robot sees to the complete 3D scene graph, by autoregressive diffusion."""
 
-from sg3d_jax.data.registry import make as make_dataset
-from sg3d_jax.data.splits import split
-from sg3d_jax.flagg.sample import Completion, Grown, complete, grow_from_planes
-from sg3d_jax.interop.json import read_graphs, write_graph
-from sg3d_jax.interop.planes import read_planes
-from sg3d_jax.metrics.fgw import FGW, fgw, fgw_pairs
-from sg3d_jax.metrics.report import score
-from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of
-from sg3d_jax.scene.padding import pad, stack, unpad
-from sg3d_jax.train.weights import load_weights
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sg3d_jax.data.registry import make as make_dataset
+    from sg3d_jax.data.splits import split
+    from sg3d_jax.flagg.sample import Completion, Grown, complete, grow_from_planes
+    from sg3d_jax.interop.json import read_graphs, write_graph
+    from sg3d_jax.interop.planes import read_planes
+    from sg3d_jax.metrics.fgw import FGW, fgw, fgw_pairs
+    from sg3d_jax.metrics.report import score
+    from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of
+    from sg3d_jax.scene.padding import pad, stack, unpad
+    from sg3d_jax.train.weights import load_weights
 
 __version__ = "0.1.0"
 __all__ = [
@@ -34,3 +38,34 @@ __all__ = [
     "unpad",
     "write_graph",
 ]
+
+# The imports above, made at run time when a name is first used: `sg3d --help` needs none of them,
+# and JAX takes seconds to load.
+_NAMES = {
+    "data.registry": ("make_dataset",),
+    "data.splits": ("split",),
+    "flagg.sample": ("Completion", "Grown", "complete", "grow_from_planes"),
+    "interop.json": ("read_graphs", "write_graph"),
+    "interop.planes": ("read_planes",),
+    "metrics.fgw": ("FGW", "fgw", "fgw_pairs"),
+    "metrics.report": ("score",),
+    "scene.graph": ("SceneGraph", "make_graph", "planes_of"),
+    "scene.padding": ("pad", "stack", "unpad"),
+    "train.weights": ("load_weights",),
+}
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name on its first use."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(f"{__name__}.{_MODULE_OF[name]}")
+    value = getattr(module, "make" if name == "make_dataset" else name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Lists the public names."""
+    return sorted(globals().keys() | set(__all__))

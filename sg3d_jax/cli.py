@@ -316,6 +316,8 @@ def _draw_worst(path: Path, graphs: list, truth: list, fgw: list[float], count: 
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line; exits with 2 after a refusal, with 130 after Ctrl-C."""
+    # XLA takes its own compiled programs, read back from disk, for those of another machine.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         match arguments:

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 
+import sg3d_jax
 from sg3d_jax import __version__, cli
 from sg3d_jax.data import registry
 from sg3d_jax.flagg import sample
@@ -442,9 +443,20 @@ def test_the_program_runs_as_a_process(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_help_needs_little_of_the_package():
+def test_the_command_line_answers_without_waiting_for_jax():
     program = "import sys, sg3d_jax.cli; print(*{name.split('.')[0] for name in sys.modules})"
     loaded = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True
     )
-    assert {"ott", "orbax", "optax", "matplotlib"} & set(loaded.stdout.split()) == set()
+    assert {"jax", "flax", "orbax", "optax", "matplotlib"} & set(loaded.stdout.split()) == set()
+
+
+@pytest.mark.parametrize("name", sg3d_jax.__all__)
+def test_every_public_name_is_there(name):
+    assert callable(getattr(sg3d_jax, name))
+    assert name in dir(sg3d_jax)
+
+
+def test_another_name_is_not():
+    with pytest.raises(AttributeError, match="module 'sg3d_jax' has no attribute 'compleat'"):
+        _ = sg3d_jax.compleat
