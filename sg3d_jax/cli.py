@@ -305,12 +305,16 @@ def _print_report(about: dict[str, Any], report: dict[str, Any]) -> None:
     Console().print(table)
 
 
-def _draw_worst(path: Path, graphs: list, truth: list, fgw: list[float], count: int = 5) -> None:
-    """Draws the scenes of the largest FGW, the truth above what was grown."""
+def _draw_worst(path: Path, graphs: list, truth: list, fgw: list[float], count: int = 20) -> None:
+    """Draws the scenes of the largest FGW, five in a row, the truth above what was grown."""
     from sg3d_jax.viz.figure import contact_sheet
 
     worst = sorted(range(len(fgw)), key=lambda index: -fgw[index])[:count]
-    rows = [("truth", [truth[i] for i in worst]), ("grown", [graphs[i] for i in worst])]
+    rows = []
+    for first in range(0, len(worst), 5):
+        chosen = worst[first : first + 5]
+        rows.append(("truth", [truth[i] for i in chosen]))
+        rows.append(("grown", [graphs[i] for i in chosen]))
     contact_sheet(rows, path)
 
 

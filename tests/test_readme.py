@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import jax
 import pytest
 
 from sg3d_jax import cli
@@ -12,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 
+@jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
 def test_python_example__runs_from_a_clone(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
