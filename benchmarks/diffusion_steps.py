@@ -2,8 +2,8 @@
 
     python benchmarks/diffusion_steps.py fd4-s-f --steps 2 4 8 16 32 64
 
-Prints a row a number of steps and writes benchmarks/results/diffusion_steps_NAME.json. Each number of
-steps grows the same scenes twice; the second time, compiled already, is the one reported.
+Prints a row for each number of steps and writes benchmarks/results/diffusion_steps_NAME.json. The
+same scenes are grown twice; the second time, compiled already, is the one reported.
 """
 
 import argparse
