@@ -102,7 +102,8 @@ def _read(path: Path, name: str) -> Trained:
         statistics = Statistics(
             *(jnp.asarray(arrays[f"statistics/{f}"]) for f in Statistics._fields)
         )
-        params = Params(**_nested(arrays, "params/"))
+        branches = _nested(arrays, "params/")  # a module without parameters leaves no branch
+        params = Params(*(branches.get(module, {}) for module in Params._fields))
     except Exception as error:
         raise ValueError(f"{path}: not a weights file of this version of sg3d_jax") from error
     return Trained(build_model(config, statistics), params, config, statistics, name)
