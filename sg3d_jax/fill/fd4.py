@@ -38,7 +38,7 @@ class FD4Config:
     distance_layers: int = 2
     diffusion_steps: int = 500  # S, of the trained schedules
     noise_levels: int = 6  # diffusion times trained on one encoded graph
-    topology_steps: int = 32  # sampling steps of stage one
+    topology_steps: int = 64  # sampling steps of stage one
     distance_steps: int = 8  # sampling steps of stage two
 
 
