@@ -34,7 +34,7 @@ def test_commands__exist() -> None:
 
 
 def test_files_and_weights__exist() -> None:
-    for path in re.findall(r"(?:examples|configs|benchmarks)/[\w./]+\w", README):
+    for path in re.findall(r"(?:examples|configs|benchmarks)/[\w./-]+\w", README):
         assert (ROOT / path).exists() or (ROOT / "benchmarks" / path).exists(), path
     for name in re.findall(r"fd4-[a-z-]+[a-z]", README):
         assert name in names(), name

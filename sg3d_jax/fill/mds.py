@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from sg3d_jax.nn.embed import Surface, safe_norm
 
 NUM_STEPS = 20
-LEAST_DAMPING = 3e-5
+LEAST_DAMPING = 1e-3  # float32 leaves 1e-7 of curvature where there is none
 
 
 class _Iterate(NamedTuple):
@@ -57,13 +57,29 @@ def recover_positions(
       float[M, 3], metres. A node without edges stands at the mean of the old graph; one with a
       single neighbour stands at its distance in front of it.
     """
-    start = _start(distance, edges, old, old_mask)
-    begin = _Iterate(
-        start, stress(start, old.position, distance, edges), jnp.asarray(LEAST_DAMPING)
-    )
+    position = _fit(_start(distance, edges, old, old_mask), distance, edges, old.position)
+    num_block = edges.shape[0]
+    if num_block == 1:
+        return position
+    # What hangs on new nodes alone, such as their floor, starts again from where those stand now.
+    inside = edges[:, :num_block]
+    mean = inside @ position / jnp.maximum(jnp.sum(inside, axis=1), 1)[:, None]
+    hanging = (jnp.sum(inside, axis=1) > 1) & ~jnp.any(edges[:, num_block:], axis=1)
+    return _fit(jnp.where(hanging[:, None], mean, position), distance, edges, old.position)
+
+
+def _fit(
+    start: Float[Array, "M 3"],
+    distance: Float[Array, "M tokens"],
+    edges: Bool[Array, "M tokens"],
+    old_position: Float[Array, "N 3"],
+) -> Float[Array, "M 3"]:
+    """Lowers the stress from a start, by a fixed number of Levenberg-Marquardt steps."""
+    value = stress(start, old_position, distance, edges)
+    begin = _Iterate(start, value, jnp.asarray(LEAST_DAMPING))
 
     def step(iterate: _Iterate, _: None) -> tuple[_Iterate, None]:
-        return _levenberg_step(iterate, distance, edges, old.position), None
+        return _levenberg_step(iterate, distance, edges, old_position), None
 
     final, _ = jax.lax.scan(step, begin, None, length=NUM_STEPS)
     return final.position
