@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sg3d_jax.data.splits import MIN_GRAPHS, split
+from sg3d_jax.data.splits import MIN_GRAPHS, PARTS, split, split_groups, split_of
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,36 @@ def test_published_results_rest_on_this_split():
 def test_too_few_graphs_are_refused():
     with pytest.raises(ValueError, match="at least 5 graphs, got 4"):
         split(4)
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=200), st.integers(0, 2**32))
+def test_a_group_is_never_divided(groups, seed):
+    if len(set(groups)) < MIN_GRAPHS:
+        with pytest.raises(ValueError, match=f"at least {MIN_GRAPHS} groups"):
+            split_groups(groups, seed)
+        return
+    parts = split_groups(groups, seed)
+    assert len(parts) == len(groups)
+    assert len(set(zip(groups, parts, strict=True))) == len(set(groups))
+    assert set(parts) == set(PARTS)
+
+
+def test_groups_of_one_are_dealt_60_20_20():
+    parts = split_groups([f"building {i}" for i in range(1000)])
+    assert [parts.count(part) for part in PARTS] == [600, 200, 200]
+
+
+def test_a_file_that_states_its_parts_is_obeyed_whatever_the_seed():
+    stated = split_of({"parts": ["test", "train", "test"]}, 3, seed=5)
+    assert [part.tolist() for part in stated] == [[1], [], [0, 2]]
+
+
+def test_a_file_that_states_no_parts_is_dealt_by_the_seed():
+    for one, other in zip(split_of({}, 50, seed=5), split(50, 5), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("parts", [["test"], ["test", "exam"], "test", ["test", ["train"]], 3])
+def test_parts_that_do_not_fit_are_refused(parts):
+    with pytest.raises(ValueError, match="name one of train, validation, test for each graph"):
+        split_of({"parts": parts}, 2)
