@@ -1,0 +1,380 @@
+"""Floors from room polygons: planes, walls and rooms as a robot would know them.
+
+Every straight side of a room is one plane, its normal into the room. A wall is the strip between
+planes of different rooms that stand back to back: a wall may have many planes (a corridor against
+three offices), and a plane several walls, where the strip behind it changes its thickness.
+
+A file holds one floor a line (JSON Lines, .jsonl or .jsonl.gz): `{"building": "office/poli",
+"storey": 0, "rooms": [{"poly": [[x, y], ...]}, ...]}`, metres; other keys are ignored.
+
+Source: paper, Sec. "Datasets" (M-F), and the authors' conversion of MSD, which has one plane an
+edge of a room polygon and walls of two or more planes.
+Differs: walls are found from the rooms, because plans of other sources come without wall polygons;
+holes in a room have planes too; corners flatter than a centimetre are no corners.
+"""
+
+import gzip
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from sg3d_jax.data.buildings import Storey
+from sg3d_jax.data.levels import Floor
+from sg3d_jax.interop.files import number, read_text
+
+MIN_PIECE: Final = 0.9  # of a room's area that must stay in one piece when it is repaired
+TOUCHING: Final = 0.01  # metres: rooms closer than this are drawn without a wall between them
+NEGLIGIBLE_AREA: Final = 1e-6  # square metres: rooms that share an edge overlap by rounding
+MITRE_LIMIT: Final = 10.0  # corners sharper than about 11 degrees are cut off when inset
+MIN_SIDES: Final = 3
+MIN_ROOMS: Final = 2
+MAX_COORDINATE: Final = 1e4  # metres; beyond it a plan is hardly in metres
+
+
+@dataclass(frozen=True)
+class FloorplanConfig:
+    """How rooms become planes and walls.
+
+    Attributes:
+      max_thickness: greatest distance of planes that stand back to back, metres.
+      max_angle: greatest angle between them, degrees; hand-drawn plans are a little askew.
+      min_overlap: least length along the wall over which they face each other, metres.
+      strip_tolerance: walls behind one plane whose thickness differs by less are one, metres.
+      inset: by so much every room of a plan shrinks, if rooms of the plan touch, metres: half the
+        thickness of a wall that was drawn as a line.
+      flatness: a corner that stands out by less is no corner, metres.
+    """
+
+    max_thickness: float = 0.4
+    max_angle: float = 10.0
+    min_overlap: float = 0.1
+    strip_tolerance: float = 0.05
+    inset: float = 0.06
+    flatness: float = 0.01
+
+
+class Plan(NamedTuple):
+    """The rooms of one floor as they are drawn."""
+
+    building: str  # floors of one building belong into one part of a split
+    origin: str  # the floor's own name
+    rooms: tuple[np.ndarray, ...]  # float[v, 2] each, corners in order, metres
+
+
+class Sides(NamedTuple):
+    """The planes of a floor: `p` sides of rooms, metres."""
+
+    ends: np.ndarray  # float[p, 2, 2], from start to end the room is on the left
+    normal: np.ndarray  # float[p, 2], unit, into the room
+    room: np.ndarray  # int[p]
+
+
+class Facing(NamedTuple):
+    """Pairs of planes that stand back to back: `f` pairs, metres."""
+
+    planes: np.ndarray  # int[f, 2]
+    thickness: np.ndarray  # float[f], of the strip between them
+    overlap: np.ndarray  # float[f], length of the strip
+    centre: np.ndarray  # float[f, 2], of the strip
+
+
+def read_plans(path: str | Path) -> list[Plan]:
+    """Returns the floors of a .jsonl or .jsonl.gz file, not yet made sense of.
+
+    Raises:
+      ValueError: one sentence that names the file, the line, the room and the field.
+    """
+    lines = enumerate(_read(path).split("\n"), 1)
+    plans = [_plan(line, f"{path}: line {index}") for index, line in lines if line.strip()]
+    if not plans:
+        raise ValueError(f"{path}: the file is empty, expected one floor a line")
+    return plans
+
+
+def floors_of(
+    plans: Sequence[Plan], config: FloorplanConfig | None = None
+) -> tuple[list[Floor], list[str]]:
+    """Turns plans into floors, leaving out those that are drawn so that nobody could tell.
+
+    Args:
+      plans: as read.
+      config: how.
+
+    Returns:
+      Floors in the order of their plans, and for each plan left out a sentence that says why.
+    """
+    floors, refusals = [], []
+    for plan in plans:
+        try:
+            storey = storey_of_rooms(plan.rooms, config)
+            floors.append(Floor(plan.building, plan.origin, storey))
+        except ValueError as error:
+            refusals.append(f"{plan.origin}: {error}")
+    return floors, refusals
+
+
+def storey_of_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig | None = None) -> Storey:
+    """Turns the rooms of one floor into planes, walls, rooms and the centre of the floor.
+
+    Args:
+      rooms: float[v, 2] each, corners in order of either sense, metres.
+      config: how.
+
+    Raises:
+      ValueError: the rooms make no floor; the sentence names the room.
+    """
+    config = config or FloorplanConfig()
+    shapes = tidy_rooms(rooms, config)
+    sides = sides_of(shapes, config.flatness)
+    wall, wall_centre = find_walls(sides, config)
+    return storey_of(sides, shapes, wall, wall_centre)
+
+
+def storey_of(
+    sides: Sides, shapes: np.ndarray, wall: np.ndarray, wall_centre: np.ndarray
+) -> Storey:
+    """Puts a storey together from its planes, room polygons and walls.
+
+    Args:
+      sides: planes.
+      shapes: polygons of the rooms.
+      wall: int[k, 2], pairs (plane, wall).
+      wall_centre: float[w, 2], metres.
+    """
+    room_centre = shapely.get_coordinates(shapely.centroid(shapes))
+    return Storey(
+        plane=sides.ends.mean(axis=1),
+        normal=sides.normal,
+        width=np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1),
+        room=sides.room,
+        room_centre=room_centre,
+        wall=wall,
+        wall_centre=wall_centre,
+        centre=room_centre.mean(axis=0),
+    )
+
+
+def tidy_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig) -> np.ndarray:
+    """Returns polygons that do not overlap, with walls between them and without flat corners.
+
+    A polygon that crosses itself keeps its greatest piece, if that is nearly all; of two that
+    overlap the greater gives way (so a room around another one gets a hole); a room that touches
+    another one is inset.
+
+    Args:
+      rooms: float[v, 2] each, metres.
+      config: how.
+
+    Raises:
+      ValueError: a room falls apart or vanishes, or there are too few.
+    """
+    if len(rooms) < MIN_ROOMS:
+        raise ValueError(f"there are {len(rooms)} rooms, expected at least {MIN_ROOMS}")
+    drawn = shapely.polygons([shapely.linearrings(corners) for corners in rooms])
+    valid = shapely.make_valid(drawn, method="structure", keep_collapsed=False)
+    shapes = _greatest_pieces(valid, "crosses itself")
+    shapes = _greatest_pieces(_without_overlap(shapes), "is cut up by smaller rooms")
+    inset = shapely.buffer(shapes, -config.inset, join_style="mitre", mitre_limit=MITRE_LIMIT)
+    inset = _greatest_pieces(inset, f"is in places narrower than {2 * config.inset:g} m")
+    return shapely.simplify(
+        shapely.normalize(np.where(_touching(shapes), inset, shapes)), config.flatness
+    )
+
+
+def _greatest_pieces(shapes: np.ndarray, problem: str) -> np.ndarray:
+    """Returns the greatest polygon of each shape, if that is nearly all of it."""
+    pieces, owner = shapely.get_parts(shapes, return_index=True)
+    area = shapely.area(pieces)
+    whole = np.bincount(owner, area, minlength=len(shapes))
+    order = np.argsort(area, kind="stable")
+    greatest = np.full(len(shapes), -1)
+    greatest[owner[order]] = order  # of several pieces the last one written stays
+    lost = (greatest < 0) | (area[greatest] <= MIN_PIECE * whole)
+    if lost.any():
+        raise ValueError(f"rooms[{np.argmax(lost)}] {problem}, expected one piece")
+    return pieces[greatest]
+
+
+def _without_overlap(shapes: np.ndarray) -> np.ndarray:
+    """Cuts from each polygon what smaller ones cover."""
+    one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+    common = shapely.area(shapely.intersection(shapes[one], shapes[other]))
+    rank = np.empty(len(shapes), int)
+    rank[np.argsort(shapely.area(shapes), kind="stable")] = np.arange(len(shapes))
+    gives_way = (rank[one] > rank[other]) & (common > NEGLIGIBLE_AREA)
+    shapes = shapes.copy()
+    for room in np.unique(one[gives_way]):
+        smaller = shapely.union_all(shapes[other[gives_way & (one == room)]])
+        shapes[room] = shapely.difference(shapes[room], smaller)
+    return shapes
+
+
+def _touching(shapes: np.ndarray) -> np.ndarray:
+    """Returns which rooms have no wall towards some other room."""
+    one, other = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=TOUCHING)
+    return np.isin(np.arange(len(shapes)), one[one != other])
+
+
+def sides_of(shapes: np.ndarray, flatness: float = 0.0) -> Sides:
+    """Returns a plane for every edge of every ring of some polygons.
+
+    Args:
+      shapes: polygons of the rooms, of either sense; metres.
+      flatness: the corner that a ring starts at is dropped if it stands out by less, metres: it is
+        the one that simplifying a ring leaves alone.
+
+    Raises:
+      ValueError: a room has too few sides.
+    """
+    rings, room = shapely.get_rings(shapely.orient_polygons(shapes), return_index=True)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    opened = np.append(ring[1:] == ring[:-1], False)  # the last point repeats the first
+    points, ring = points[opened], ring[opened]
+    size = np.bincount(ring)
+    last = np.cumsum(size) - 1
+    first = last - size + 1
+    flat = _distance_to_line(points[first], points[last], points[first + 1]) < flatness
+    kept = np.ones(len(points), bool)
+    kept[first[flat]] = False
+    points, ring, size = points[kept], ring[kept], size - flat
+    if (size < MIN_SIDES).any():
+        bad = room[np.argmin(size)]
+        raise ValueError(f"rooms[{bad}] is flat, expected at least {MIN_SIDES} sides")
+    following = np.arange(1, len(points) + 1)
+    following[np.cumsum(size) - 1] -= size
+    ends = np.stack([points, points[following]], axis=1)
+    along = _unit(ends[:, 1] - ends[:, 0])
+    return Sides(ends=ends, normal=_left(along), room=room[ring])
+
+
+def find_walls(sides: Sides, config: FloorplanConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Finds the walls between rooms.
+
+    Pairs that have a plane in common and the same strip behind it belong to one wall.
+
+    Args:
+      sides: planes.
+      config: what counts as back to back.
+
+    Returns:
+      int[k, 2], pairs (plane, wall), sorted, and the walls' centres, float[w, 2], metres: the
+      centroid of their strips.
+    """
+    facing = facing_pairs(sides, config)
+    num_pairs = len(facing.planes)
+    pair = np.repeat(np.arange(num_pairs), 2)
+    plane, thickness = facing.planes.ravel(), facing.thickness[pair]
+    order = np.lexsort((thickness, plane))
+    same_plane = plane[order][1:] == plane[order][:-1]
+    same_strip = same_plane & (np.diff(thickness[order]) <= config.strip_tolerance)
+    link = pair[order][:-1][same_strip], pair[order][1:][same_strip]
+    links = coo_array((np.ones(same_strip.sum()), link), shape=(num_pairs, num_pairs))
+    num_walls, wall = connected_components(links, directed=False)
+    weight = np.bincount(wall, facing.overlap, num_walls)
+    centre = [np.bincount(wall, facing.overlap * x, num_walls) / weight for x in facing.centre.T]
+    members = np.unique(np.column_stack([plane, wall[pair]]), axis=0)
+    return members, np.column_stack(centre)
+
+
+def facing_pairs(sides: Sides, config: FloorplanConfig) -> Facing:
+    """Returns the pairs of planes of different rooms that stand back to back across a gap.
+
+    Each lies behind the other, their normals are opposite, and where both are, along the wall, the
+    strip between them is no thicker than a wall. Thickness is taken in the middle of the strip,
+    because the planes of a hand-drawn wall are not parallel.
+    """
+    ends, normal, room = sides
+    opposite = normal @ normal.T <= -np.cos(np.radians(config.max_angle))
+    planes = np.argwhere(np.triu(opposite & (room[:, None] != room)))
+    across = _unit(normal[planes[:, 0]] - normal[planes[:, 1]])  # from the second to the first
+    along = -_left(across)
+    reach = np.einsum("fped,fd->fpe", ends[planes], along)
+    offset = np.einsum("fped,fd->fpe", ends[planes], across)
+    low, high = reach.min(axis=2).max(axis=1), reach.max(axis=2).min(axis=1)
+    middle = (low + high) / 2
+    slope = (offset[..., 1] - offset[..., 0]) / (reach[..., 1] - reach[..., 0])
+    at_middle = offset[..., 0] + slope * (middle[:, None] - reach[..., 0])
+    thickness = at_middle[:, 0] - at_middle[:, 1]
+    near = (thickness >= 0) & (thickness <= config.max_thickness)
+    found = near & (high - low >= config.min_overlap)
+    centre = middle[:, None] * along + at_middle.mean(axis=1)[:, None] * across
+    return Facing(planes[found], thickness[found], (high - low)[found], centre[found])
+
+
+def _distance_to_line(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Returns the distance of points from lines, float[n]."""
+    return np.abs(np.sum((points - start) * _left(_unit(end - start)), axis=1))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _left(vectors: np.ndarray) -> np.ndarray:
+    """Turns vectors of the plane by a right angle counter-clockwise."""
+    return np.column_stack([-vectors[:, 1], vectors[:, 0]])
+
+
+def _read(path: str | Path) -> str:
+    """Returns the text of a file that may be compressed."""
+    suffixes = [suffix.lower() for suffix in Path(path).suffixes]
+    if suffixes[-1:] == [".jsonl"]:
+        return read_text(path)
+    if suffixes[-2:] != [".jsonl", ".gz"]:
+        raise ValueError(f"{path}: the name does not end in .jsonl or .jsonl.gz")
+    try:
+        return gzip.decompress(Path(path).read_bytes()).decode()
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise ValueError(f"{path}: not a gzip file, or a damaged one ({error})") from error
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}, expected a file to read") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: byte {error.start} is not UTF-8") from error
+
+
+def _plan(line: str, where: str) -> Plan:
+    """Returns the floor of one line."""
+    try:
+        document = json.loads(line)
+    except (ValueError, RecursionError) as error:  # also numbers too long, brackets too deep
+        raise ValueError(f"{where}: not JSON ({error})") from error
+    if not isinstance(document, dict):
+        raise ValueError(f"{where}: {document!r:.40} is no object, expected one floor")
+    kinds = {"building": str, "storey": int, "rooms": list}
+    for key, kind in kinds.items():
+        if key not in document:
+            raise ValueError(f"{where}: there is no {key!r}, expected {', '.join(kinds)}")
+        if not isinstance(document[key], kind) or isinstance(document[key], bool):
+            held = f"{document[key]!r:.40}"
+            raise ValueError(f"{where}: {key} is {held}, expected {kind.__name__}")
+    building, storey, rooms = (document[key] for key in kinds)
+    corners = (_corners(room, f"{where}: rooms[{index}]") for index, room in enumerate(rooms))
+    return Plan(building, f"{building} storey {storey}", tuple(corners))
+
+
+def _corners(room: Any, where: str) -> np.ndarray:
+    """Returns the corners of a room of a parsed document, float[v, 2]."""
+    if not isinstance(room, dict) or not isinstance(room.get("poly"), list):
+        raise ValueError(f"{where} is {room!r:.40}, expected an object with a list 'poly'")
+    corners = [_point(point, f"{where}.poly[{i}]") for i, point in enumerate(room["poly"])]
+    if len(set(corners)) < MIN_SIDES:
+        held = f"{len(set(corners))} different corners"
+        raise ValueError(f"{where}.poly has {held}, expected at least {MIN_SIDES}")
+    return np.array(corners)
+
+
+def _point(point: Any, where: str) -> tuple[float, float]:
+    if not isinstance(point, list) or len(point) != 2:
+        raise ValueError(f"{where} is {point!r:.40}, expected two numbers")
+    x, y = (number(value, where) for value in point)
+    if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):  # false for NaN
+        raise ValueError(f"{where} is {point!r:.40}, expected metres within {MAX_COORDINATE:g}")
+    return x, y
