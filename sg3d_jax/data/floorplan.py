@@ -27,7 +27,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.data.buildings import Storey
-from sg3d_jax.data.levels import Floor
+from sg3d_jax.data.levels import Floor, Floors
 from sg3d_jax.interop.files import number, read_text
 
 MIN_PIECE: Final = 0.9  # of a room's area that must stay in one piece when it is repaired
@@ -82,8 +82,7 @@ class Facing(NamedTuple):
 
     planes: np.ndarray  # int[f, 2]
     thickness: np.ndarray  # float[f], of the strip between them
-    overlap: np.ndarray  # float[f], length of the strip
-    centre: np.ndarray  # float[f, 2], of the strip
+    middle: np.ndarray  # float[f, 2, 2], the ends of the line through the middle of the strip
 
 
 def read_plans(path: str | Path) -> list[Plan]:
@@ -99,26 +98,26 @@ def read_plans(path: str | Path) -> list[Plan]:
     return plans
 
 
-def floors_of(
-    plans: Sequence[Plan], config: FloorplanConfig | None = None
-) -> tuple[list[Floor], list[str]]:
-    """Turns plans into floors, leaving out those that are drawn so that nobody could tell.
+def read_floors(path: str | Path, config: FloorplanConfig | None = None) -> Floors:
+    """Reads floors from a .jsonl or .jsonl.gz file and turns them into planes, walls and rooms.
+
+    A floor drawn so that nobody could tell its rooms is left out, and a sentence says why.
 
     Args:
-      plans: as read.
-      config: how.
+      path: the file.
+      config: how rooms become planes and walls.
 
-    Returns:
-      Floors in the order of their plans, and for each plan left out a sentence that says why.
+    Raises:
+      ValueError: the file is broken: one sentence that names the line, the room and the field.
     """
-    floors, refusals = [], []
-    for plan in plans:
+    floors, left_out = [], []
+    for plan in read_plans(path):
         try:
             storey = storey_of_rooms(plan.rooms, config)
             floors.append(Floor(plan.building, plan.origin, storey))
         except ValueError as error:
-            refusals.append(f"{plan.origin}: {error}")
-    return floors, refusals
+            left_out.append(f"{plan.origin}: {error}")
+    return Floors(floors, left_out)
 
 
 def storey_of_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig | None = None) -> Storey:
@@ -134,7 +133,7 @@ def storey_of_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig | None 
     config = config or FloorplanConfig()
     shapes = tidy_rooms(rooms, config)
     sides = sides_of(shapes, config.flatness)
-    wall, wall_centre = find_walls(sides, config)
+    wall, wall_centre = find_walls(sides, shapes, config)
     return storey_of(sides, shapes, wall, wall_centre)
 
 
@@ -255,20 +254,23 @@ def sides_of(shapes: np.ndarray, flatness: float = 0.0) -> Sides:
     return Sides(ends=ends, normal=_left(along), room=room[ring])
 
 
-def find_walls(sides: Sides, config: FloorplanConfig) -> tuple[np.ndarray, np.ndarray]:
+def find_walls(
+    sides: Sides, shapes: np.ndarray, config: FloorplanConfig
+) -> tuple[np.ndarray, np.ndarray]:
     """Finds the walls between rooms.
 
     Pairs that have a plane in common and the same strip behind it belong to one wall.
 
     Args:
       sides: planes.
+      shapes: polygons of the rooms, metres.
       config: what counts as back to back.
 
     Returns:
       int[k, 2], pairs (plane, wall), sorted, and the walls' centres, float[w, 2], metres: the
       centroid of their strips.
     """
-    facing = facing_pairs(sides, config)
+    facing = _without_rooms_between(facing_pairs(sides, config), shapes)
     num_pairs = len(facing.planes)
     pair = np.repeat(np.arange(num_pairs), 2)
     plane, thickness = facing.planes.ravel(), facing.thickness[pair]
@@ -278,8 +280,10 @@ def find_walls(sides: Sides, config: FloorplanConfig) -> tuple[np.ndarray, np.nd
     link = pair[order][:-1][same_strip], pair[order][1:][same_strip]
     links = coo_array((np.ones(same_strip.sum()), link), shape=(num_pairs, num_pairs))
     num_walls, wall = connected_components(links, directed=False)
-    weight = np.bincount(wall, facing.overlap, num_walls)
-    centre = [np.bincount(wall, facing.overlap * x, num_walls) / weight for x in facing.centre.T]
+    length = np.linalg.norm(facing.middle[:, 1] - facing.middle[:, 0], axis=1)
+    weighted = length * facing.middle.mean(axis=1).T
+    total = np.bincount(wall, length, num_walls)
+    centre = [np.bincount(wall, part, num_walls) / total for part in weighted]
     members = np.unique(np.column_stack([plane, wall[pair]]), axis=0)
     return members, np.column_stack(centre)
 
@@ -305,8 +309,17 @@ def facing_pairs(sides: Sides, config: FloorplanConfig) -> Facing:
     thickness = at_middle[:, 0] - at_middle[:, 1]
     near = (thickness >= 0) & (thickness <= config.max_thickness)
     found = near & (high - low >= config.min_overlap)
-    centre = middle[:, None] * along + at_middle.mean(axis=1)[:, None] * across
-    return Facing(planes[found], thickness[found], (high - low)[found], centre[found])
+    line = np.stack([low, high], axis=1)[..., None] * along[:, None]
+    line += (at_middle.mean(axis=1)[:, None] * across)[:, None]
+    return Facing(planes[found], thickness[found], line[found])
+
+
+def _without_rooms_between(facing: Facing, shapes: np.ndarray) -> Facing:
+    """Drops the pairs with another room in their strip: a niche narrower than a wall."""
+    lines = shapely.linestrings(facing.middle)
+    crossing, _ = shapely.STRtree(shapes).query(lines, predicate="intersects")
+    clear = ~np.isin(np.arange(len(lines)), crossing)
+    return Facing(*(field[clear] for field in facing))
 
 
 def _distance_to_line(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:

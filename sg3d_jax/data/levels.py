@@ -38,6 +38,13 @@ class Floor(NamedTuple):
     storey: Storey
 
 
+class Floors(NamedTuple):
+    """The floors of a file."""
+
+    floors: list[Floor]
+    left_out: list[str]  # a sentence for each floor that is not among them
+
+
 class Imported(NamedTuple):
     """Scenes, the part of each and the floors that it is made of."""
 
