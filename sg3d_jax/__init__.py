@@ -4,11 +4,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sg3d_jax.data.formats import read_graphs, read_planes, write_graphs
     from sg3d_jax.data.registry import make as make_dataset
     from sg3d_jax.data.splits import split
     from sg3d_jax.flagg.sample import Completion, Grown, complete, grow_from_planes
-    from sg3d_jax.interop.json import read_graphs, write_graph
-    from sg3d_jax.interop.planes import read_planes
+    from sg3d_jax.interop.networkx import from_networkx, to_networkx
     from sg3d_jax.metrics.fgw import FGW, fgw, fgw_pairs
     from sg3d_jax.metrics.report import score
     from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of
@@ -24,6 +24,7 @@ __all__ = [
     "complete",
     "fgw",
     "fgw_pairs",
+    "from_networkx",
     "grow_from_planes",
     "load_weights",
     "make_dataset",
@@ -35,18 +36,19 @@ __all__ = [
     "score",
     "split",
     "stack",
+    "to_networkx",
     "unpad",
-    "write_graph",
+    "write_graphs",
 ]
 
 # The imports above, made at run time when a name is first used: `sg3d --help` needs none of them,
 # and JAX takes seconds to load.
 _NAMES = {
+    "data.formats": ("read_graphs", "read_planes", "write_graphs"),
     "data.registry": ("make_dataset",),
     "data.splits": ("split",),
     "flagg.sample": ("Completion", "Grown", "complete", "grow_from_planes"),
-    "interop.json": ("read_graphs", "write_graph"),
-    "interop.planes": ("read_planes",),
+    "interop.networkx": ("from_networkx", "to_networkx"),
     "metrics.fgw": ("FGW", "fgw", "fgw_pairs"),
     "metrics.report": ("score",),
     "scene.graph": ("SceneGraph", "make_graph", "planes_of"),

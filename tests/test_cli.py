@@ -14,8 +14,8 @@ import pytest
 import sg3d_jax
 from sg3d_jax import __version__, cli
 from sg3d_jax.data import registry
+from sg3d_jax.data.formats import read_graphs
 from sg3d_jax.flagg import sample
-from sg3d_jax.interop.json import read_graphs
 from sg3d_jax.interop.planes import COLUMNS, planes_to_dict
 from sg3d_jax.scene.concepts import CONCEPTS
 from sg3d_jax.train import loop
@@ -268,8 +268,51 @@ def test_a_graph_is_drawn(capsys):
         (("nothing.json", "-o", "b.png"), "nothing.json: No such file"),
         (("graphs.jsonl", "-o", "b.xyz"), "expected"),
         (("graphs.jsonl", "-o", "nowhere/b.png"), "nowhere/b.png"),
+        (("s-g", "-o", "b.png"), "unknown data set 's-g'"),
+        (("m-f", "-o", "b.png"), "m-f cannot be generated"),
     ):
         assert sentence in refusal(capsys, "view", *arguments)
+
+
+@pytest.mark.parametrize(("options", "count"), [((), 100), (("--index", 2), 1)])
+def test_a_page_shows_a_data_set(capsys, options, count):
+    run("view", "s-f-square", "-o", "a.html", *options)
+    assert capsys.readouterr().out.startswith(f"a.html: page of {count} graph")
+    with open("a.html") as file:
+        assert file.readline().lower().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize("to", ["json", "networkx", "spark-dsg", "graphml", "npz"])
+def test_graphs_are_exported_to_every_format(capsys, to):
+    name = f"a.{to if to in ('graphml', 'npz') else 'json'}"
+    run("export", "s-f", "-o", name, "--to", to, "--index", 3)
+    assert capsys.readouterr().out == f"{name}: 1 graph as {to}\n"
+    (graph,) = read_graphs(name)
+    expected = registry.make("s-f", 4)[3]
+    np.testing.assert_array_equal(graph.nodes.position, expected.nodes.position)
+    run("export", name, "-o", "again.jsonl")
+    (again,) = read_graphs("again.jsonl")
+    np.testing.assert_array_equal(again.nodes.position, expected.nodes.position)
+
+
+def test_walls_may_be_exported_as_metadata():
+    for walls in ("edges", "metadata"):
+        run("export", "s-f", "-o", "a.json", "--to", "spark-dsg", "--index", 0, "--walls", walls)
+        with open("a.json") as file:
+            layers = {json.dumps(node["layer"]) for node in json.load(file)["nodes"]}
+        assert len(layers) == 4
+    assert len(read_graphs("a.json")[0].nodes.label) == len(registry.make("s-f", 1)[0].nodes.label)
+
+
+def test_bad_input_to_export_is_refused(capsys):
+    scene = write("a.json", SCENES[0])
+    for arguments, sentence in (
+        (("s-f", "-o", "b.json"), "b.json: the file holds one graph, expected --index"),
+        ((scene, "-o", "b.npz"), "b.npz: the name ends in '.npz', expected .json or .jsonl"),
+        ((scene, "-o", "b.json", "--index", 1), "a.json: --index must be in 0..0, got 1"),
+        ((scene, "-o", "b.json", "--walls", "metadata"), "--walls metadata is for --to spark-dsg"),
+    ):
+        assert sentence in refusal(capsys, "export", *arguments)
 
 
 def node(name, label):
@@ -279,12 +322,36 @@ def node(name, label):
 def test_a_data_set_is_made_and_described(capsys):
     run("data", "make", "s-f", "-o", "a.npz", "--num-graphs", 3, "--seed", 4)
     assert capsys.readouterr().out == "a.npz: 3 graphs\n"
-    made, expected = registry.load("a.npz"), registry.make("s-f", 3, 4)
+    made, expected = registry.load("a.npz").graphs, registry.make("s-f", 3, 4)
     assert [graph.nodes.position.tolist() for graph in made] == [
         graph.nodes.position.tolist() for graph in expected
     ]
-    run("data", "describe", "a.npz")
-    assert json.loads(capsys.readouterr().out)["num_graphs"] == 3
+    run("data", "describe", "a.npz", "-o", "statistics.json")
+    assert "30" in capsys.readouterr().out  # the paper's |V|
+    with open("statistics.json") as file:
+        assert json.load(file)["a.npz"]["num_graphs"] == 3
+
+
+def test_every_data_set_is_listed(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    run("data", "describe")
+    out = capsys.readouterr().out
+    assert [name for name in registry.DATASETS if name not in out] == []
+
+
+def test_a_data_set_is_imported_checked_and_drawn(capsys):
+    run("export", "s-f", "-o", "a.npz", "--to", "npz", "--index", 0)
+    run("data", "import", "r-f", "a.npz", "-o", "b.npz")
+    capsys.readouterr()
+    run("data", "check", "b.npz")
+    assert capsys.readouterr().out == "b.npz: 1 graphs, all sound\n"
+    run("data", "sheet", "b.npz", "-o", "sheet.png")
+    assert os.path.getsize("sheet.png") > 0
+    room_alone = {"nodes": [node(0, "room"), node(1, "floor")], "edges": [[0, 1]]}
+    write_lines("c.jsonl", [room_alone])
+    capsys.readouterr()
+    run("data", "check", "c.jsonl")
+    assert "room without a part: 1 in 1 graph, first in graph 0" in capsys.readouterr().out
 
 
 def test_bad_input_to_data_is_refused(capsys):
@@ -294,8 +361,16 @@ def test_bad_input_to_data_is_refused(capsys):
         (("make", "s-f", "-o", "a.npz", "--seed", -1), "--seed must be at least 0"),
         (("make", "s-f", "-o", "a.txt"), "the name ends in '.txt', expected .npz"),
         (("make", "s-f", "-o", "nowhere/a.npz"), "nowhere/a.npz: cannot be written"),
+        (("make", "p-f", "-o", "a.npz"), "sg3d data import p-f FILE -o p-f.npz"),
         (("describe", "nothing"), "unknown data set 'nothing'"),
         (("describe", write("b.npz", "x")), "b.npz"),
+        (("import", "s-g", "b.npz", "-o", "a.npz"), "unknown data set 's-g'"),
+        (("import", "m-f", "b.npz", "-o", "a.npz"), "b.npz: not an npz file"),
+        (("import", "m-f", "b.npz", "-o", "a.txt"), "a.txt: the name ends in '.txt'"),
+        (("import", "m-f", "c.zip", "-o", "a.npz"), "c.zip"),
+        (("check", "nothing.jsonl"), "nothing.jsonl: No such file"),
+        (("sheet", "s-f", "-o", "a.txt"), "a.txt: the name ends in '.txt'"),
+        (("sheet", "s-f", "-o", "a.png", "--num-graphs", 0), "--num-graphs must be at least 1"),
     ):
         assert sentence in refusal(capsys, "data", *arguments)
 
@@ -396,7 +471,7 @@ def test_help_names_every_command(capsys, arguments):
     assert caught.value.code == 0
     out = capsys.readouterr().out
     assert "usage: sg3d" in out
-    assert all(name in out for name in ("complete", "view", "train", "evaluate", "data"))
+    assert all(name in out for name in ("complete", "view", "export", "train", "evaluate", "data"))
 
 
 @pytest.mark.parametrize(
@@ -407,7 +482,8 @@ def test_help_names_every_command(capsys, arguments):
         (["evaluate"], ["--num-graphs", "--split", "--sheet"]),
         (["train"], ["configs/", "CONFIG --help"]),
         (["train", CONFIGS / "test.py"], ["--steps", "--fill.layers", "--output"]),
-        (["data"], ["make", "describe"]),
+        (["export"], ["--to", "spark-dsg", "--walls"]),
+        (["data"], ["make", "import", "describe", "check", "sheet"]),
         (["data", "make"], ["--num-graphs"]),
     ],
 )

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sg3d_jax.data.formats import read_planes
 from sg3d_jax.flagg.sample import growth_capacity
-from sg3d_jax.interop.planes import read_planes
 from sg3d_jax.scene.validate import validate_planes
 from tests.tiny_run import ROOT
 

@@ -30,6 +30,8 @@ HOMES: Final = {
     "matplotlib": "viz/",
     "mpl_toolkits": "viz/",
     "plotly": "viz/",
+    "shapely": "data/",
+    "networkx": "interop/",
 }
 
 

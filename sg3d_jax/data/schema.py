@@ -6,13 +6,13 @@ and stands for both directions. `header` is a JSON object: what the data are and
 """
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from sg3d_jax.interop.files import replacing
 from sg3d_jax.scene.concepts import NUM_RELATIONS, PART_OF, PROXIMITY
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.validate import validate_graph
@@ -38,6 +38,13 @@ EDGE_FIELDS: Final = ("edges", "relation")
 Arrays = dict[str, np.ndarray]
 
 
+class Dataset(NamedTuple):
+    """Host graphs and what their file says about them."""
+
+    graphs: list[SceneGraph]
+    header: dict[str, Any]  # JSON values, such as name, source, seed, and parts (`splits.split_of`)
+
+
 def save(
     path: str | Path,
     graphs: Sequence[SceneGraph],
@@ -54,23 +61,18 @@ def save(
       rules: whether edges must respect the hierarchy, as in `validate_graph`.
 
     Raises:
-      ValueError: a graph is not sound; nothing is written.
+      ValueError: a graph is not sound, or the file cannot be written; nothing is written.
     """
     path = Path(path)
     for index, graph in enumerate(graphs):
         validate_graph(graph, f"{path}: graph {index}", rules)
     about = {**header, "schema": VERSION, "units": UNITS}
     arrays: dict[str, Any] = {"header": np.array(json.dumps(about)), **_concatenate(graphs)}
-    draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with draft.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
-def load(path: str | Path, rules: bool = True) -> tuple[list[SceneGraph], dict[str, Any]]:
+def load(path: str | Path, rules: bool = True) -> Dataset:
     """Reads the graphs and the header of a file.
 
     Args:
@@ -92,7 +94,7 @@ def load(path: str | Path, rules: bool = True) -> tuple[list[SceneGraph], dict[s
         graph = _graph(arrays, index, where)
         validate_graph(graph, where, rules)
         graphs.append(graph)
-    return graphs, header
+    return Dataset(graphs, header)
 
 
 def _concatenate(graphs: Sequence[SceneGraph]) -> Arrays:
@@ -129,7 +131,7 @@ def _header(content: Mapping[str, np.ndarray], path: str | Path) -> dict[str, An
     try:
         header = json.loads(str(content["header"]))
         version, units = header["schema"], header["units"]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         expected = "a JSON object with schema and units, as sg3d_jax writes it"
         raise ValueError(f"{path}: header is missing or unreadable, expected {expected}") from error
     for name, value, expected in (("schema", version, VERSION), ("units", units, UNITS)):

@@ -2,17 +2,15 @@
 
 Source: paper, Sec. "Experiments": 60 % training, 20 % validation, 20 % test; its recordings of real
 buildings are for testing only.
-Differs: the authors' assignment is not published; ours is a seeded permutation. Where floors of one
-building, or copies of one floor, occur in several graphs, whole buildings are dealt, and the file of
-the set says which graph went where.
+Differs: the authors' assignment is not published; ours is a seeded permutation. Where floors of
+one building, or copies of one floor, occur in several graphs, whole buildings are dealt, and the
+file of the set says which graph went where.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-
-from sg3d_jax.scene.graph import SceneGraph
 
 MIN_GRAPHS: Final = 5  # the fewest that leave one graph for each part
 PARTS: Final = ("train", "validation", "test")
@@ -24,14 +22,6 @@ class Splits(NamedTuple):
     train: np.ndarray  # int[60 %]
     validation: np.ndarray  # int[20 %]
     test: np.ndarray  # int[20 %]
-
-
-class Imported(NamedTuple):
-    """Graphs that were made from a user's file, with the part that each belongs to."""
-
-    graphs: list[SceneGraph]
-    parts: list[str]  # one of PARTS for each graph
-    origins: list[str]  # what each graph was made from, such as "office/poli storey 0"
 
 
 def split(num_graphs: int, seed: int = 0) -> Splits:

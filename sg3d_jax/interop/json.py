@@ -5,18 +5,13 @@
 Proximity edges, if the graph has any, are under `proximity_edges`. Numbers survive exactly.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sg3d_jax.interop.files import (
     number,
-    read_documents,
     vector,
-    write_document,
-    write_documents,
 )
 from sg3d_jax.scene.concepts import CONCEPTS, PART_OF, PLANE, PROXIMITY
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
@@ -82,52 +77,6 @@ def graph_from_dict(document: Any, where: str = "graph") -> SceneGraph:
     )
     validate_graph(graph, where, rules=False)
     return graph
-
-
-def write_graph(path: str | Path, graph: SceneGraph, **extra: Any) -> None:
-    """Writes a host graph as a JSON file that keeps every digit.
-
-    Args:
-      path: the file to write.
-      graph: unpadded, metres.
-      **extra: what else the document should say; JSON values.
-
-    Raises:
-      ValueError: the graph breaks the data model, or the file cannot be written.
-    """
-    validate_graph(graph, str(path), rules=False)
-    write_document(path, graph_to_dict(graph, **extra))
-
-
-def write_graphs(
-    path: str | Path,
-    graphs: Sequence[SceneGraph],
-    extras: Iterable[Mapping[str, Any]] | None = None,
-) -> None:
-    """Writes host graphs as a JSON Lines file, one a line, in their order.
-
-    Args:
-      path: the file to write.
-      graphs: unpadded, metres.
-      extras: what else each document should say, one mapping a graph; JSON values.
-
-    Raises:
-      ValueError: a graph breaks the data model, or the file cannot be written.
-    """
-    for index, graph in enumerate(graphs):
-        validate_graph(graph, f"{path}: graph {index}", rules=False)
-    extras = [{}] * len(graphs) if extras is None else extras
-    documents = [graph_to_dict(graph, **extra) for graph, extra in zip(graphs, extras, strict=True)]
-    write_documents(path, documents)
-
-
-def read_graphs(path: str | Path) -> list[SceneGraph]:
-    """Returns the graphs of a .json file (one) or a .jsonl file (one a line).
-
-    Raises:
-      ValueError: one sentence that names the file, the line, the node or edge and the field.
-    """
-    return [graph_from_dict(document, where) for where, document in read_documents(path)]
 
 
 def _node(node: Any, where: str) -> tuple[int, list[float], list[float], float]:

@@ -1,4 +1,4 @@
-"""Observed planes from files: JSON, JSON Lines (one scene a line) and CSV (one scene).
+"""Observed planes as JSON documents and as CSV files, one scene each.
 
 JSON: `{"planes": [{"centroid": [x, y, z], "normal": [x, y, z], "width": w}, ...]}`.
 CSV: a header `cx,cy,cz,nx,ny,nz,width`, in any order, then one plane a row. All in metres; normals
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.interop.files import number, read_documents, read_text, vector, write_document
+from sg3d_jax.interop.files import number, read_text, vector, write_document
 from sg3d_jax.scene.concepts import PLANE
 from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of
 from sg3d_jax.scene.validate import validate_planes
@@ -21,21 +21,13 @@ COLUMNS: Final = ("cx", "cy", "cz", "nx", "ny", "nz", "width")
 FIELDS: Final = ("centroid", "normal", "width")
 
 
-def read_planes(path: str | Path) -> list[SceneGraph]:
-    """Returns the scenes of a file, each a host graph of planes without edges.
-
-    Args:
-      path: a .json, .jsonl or .csv file, metres.
+def planes_from_csv(path: str | Path) -> SceneGraph:
+    """Returns the planes of a CSV file as a host graph without edges.
 
     Raises:
-      ValueError: one sentence that names the file, the line of the scene, the plane and the field.
+      ValueError: one sentence that names the file, the line or plane, and the field.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix == ".csv":
-        return [_scene(_read_rows(path), f"{path}")]
-    if suffix not in (".json", ".jsonl"):
-        raise ValueError(f"{path}: the name ends in {suffix!r}, expected .json, .jsonl or .csv")
-    return [planes_from_dict(document, where) for where, document in read_documents(path)]
+    return _scene(_read_rows(path), f"{path}")
 
 
 def planes_from_dict(document: Any, where: str) -> SceneGraph:

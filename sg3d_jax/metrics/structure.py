@@ -6,7 +6,7 @@ All of this runs on the host.
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,12 +20,10 @@ from sg3d_jax.scene.concepts import (
     PART_OF_RULES,
     PLANE,
     ROOM,
+    SINGLE_PARENT,
     WALL,
 )
 from sg3d_jax.scene.graph import SceneGraph, undirected_edges
-
-# Where a part has one whole. A plane may bound a room and a wall, so walls are not among them.
-SINGLE_PARENT: Final = ((PLANE, ROOM), (ROOM, FLOOR), (FLOOR, BUILDING), (BUILDING, CITY))
 
 Neighbours = list[list[int]]
 PlaneSet = frozenset[int]

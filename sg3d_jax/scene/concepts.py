@@ -18,3 +18,6 @@ NUM_RELATIONS: Final = len(RELATIONS)
 PART_OF_RULES: Final = frozenset(
     {(PLANE, WALL), (PLANE, ROOM), (ROOM, FLOOR), (FLOOR, BUILDING), (BUILDING, CITY)}
 )
+
+# (child, parent) where a part has one whole. A plane may bound a room and several walls.
+SINGLE_PARENT: Final = ((PLANE, ROOM), (ROOM, FLOOR), (FLOOR, BUILDING), (BUILDING, CITY))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from sg3d_jax.data import registry
-from sg3d_jax.data.splits import split
+from sg3d_jax.data.splits import split_of
 from sg3d_jax.fill.protocol import Statistics, count_statistics
 from sg3d_jax.flagg.step import FlaggConfig, cut_graph
 from sg3d_jax.scene.graph import SceneGraph
@@ -21,12 +21,18 @@ CUTS_A_GRAPH = 16  # for the statistics
 
 
 def load_split(config: DataConfig, part: str) -> list[SceneGraph]:
-    """Returns the host graphs of "train", "validation" or "test"."""
-    if config.name in registry.DATASETS:
-        graphs = registry.make(config.name, config.num_graphs, config.seed)
-    else:
-        graphs = registry.load(config.name)[: config.num_graphs]
-    return [graphs[i] for i in getattr(split(len(graphs), config.split_seed), part)]
+    """Returns the host graphs of "train", "validation", "test" or "all".
+
+    Raises:
+      ValueError: there is no such data set, or it has no graphs for this part.
+    """
+    graphs, header = registry.load(config.name, config.num_graphs, config.seed)
+    if part == "all":
+        return graphs
+    chosen = getattr(split_of(header, len(graphs), config.split_seed), part)
+    if not len(chosen):
+        raise ValueError(f"{config.name}: none of its {len(graphs)} graphs is for {part}")
+    return [graphs[i] for i in chosen]
 
 
 def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> list[SceneGraph]:

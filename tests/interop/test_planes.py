@@ -7,13 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sg3d_jax.interop.planes import (
-    COLUMNS,
-    planes_from_dict,
-    planes_to_dict,
-    read_planes,
-    write_planes,
-)
+from sg3d_jax.data.formats import read_planes
+from sg3d_jax.interop.planes import COLUMNS, planes_from_dict, planes_to_dict, write_planes
 from sg3d_jax.scene.concepts import PLANE
 from sg3d_jax.scene.validate import validate_graph, validate_planes
 

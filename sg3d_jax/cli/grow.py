@@ -1,7 +1,4 @@
-"""The command line: `sg3d complete | train | evaluate | view | data`. Each command delegates.
-
-A refusal is one sentence on stderr and exit code 2, with nothing written.
-"""
+"""`sg3d complete | train | evaluate`: growing scene graphs, and learning to."""
 
 import dataclasses
 import json
@@ -10,26 +7,26 @@ import runpy
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-import sg3d_jax
+from sg3d_jax.cli.arguments import (
+    PICTURES,
+    OptionalOutput,
+    Output,
+    Positional,
+    check_at_least,
+    check_output,
+)
 from sg3d_jax.interop.files import replacing
 
-DEFAULT_WEIGHTS = "fd4-s-f"
-GRAPHS = (".json", ".jsonl")
-PICTURES = (".png", ".pdf", ".svg")
-
-Positional = tyro.conf.Positional
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-app = tyro.extras.SubcommandApp()
-data_app = tyro.extras.SubcommandApp()
+DEFAULT_WEIGHTS: Final = "fd4-s-f"
+GRAPHS: Final = (".json", ".jsonl")
 
 
-@app.command
 def complete(
     planes: Positional[Path],
     output: Output,
@@ -42,7 +39,7 @@ def complete(
     """Grow the scene graph of observed planes.
 
     Args:
-      planes: JSON, JSON Lines (a scene a line) or CSV; metres.
+      planes: JSON, JSON Lines (a scene a line) or CSV, or graphs whose planes are taken; metres.
       output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
       picture: also draw the first graph, as PNG, PDF or SVG.
       samples: graphs a scene.
@@ -50,22 +47,16 @@ def complete(
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
     """
+    from sg3d_jax.data.formats import check_writable, read_planes, write_graphs
     from sg3d_jax.flagg import sample
-    from sg3d_jax.interop.json import write_graph, write_graphs
-    from sg3d_jax.interop.planes import read_planes
     from sg3d_jax.viz.figure import save_picture
 
-    _check_at_least("--samples", samples, 1)
-    _check_at_least("--seed", seed, 0)
-    _check_output(output, GRAPHS)
-    _check_output(picture, PICTURES)
+    check_at_least("--samples", samples, 1)
+    check_at_least("--seed", seed, 0)
+    check_output(output, GRAPHS)
+    check_output(picture, PICTURES)
     scenes = read_planes(planes)
-    several = output.suffix.lower() == ".jsonl"
-    if not several and len(scenes) * samples > 1:
-        raise ValueError(
-            f"{output}: a .json file holds one graph, expected the name of a .jsonl file for "
-            f"{len(scenes) * samples} graphs"
-        )
+    check_writable(output, len(scenes) * samples, "json")
     trained = _trained(weights, diffusion_steps)
     grown = sample.complete(trained.model, trained.params, scenes, seed, samples)
     extras = [
@@ -81,36 +72,13 @@ def complete(
         for index, completion in enumerate(completions)
     ]
     graphs = [completion.graph for completions in grown for completion in completions]
-    if several:
-        write_graphs(output, graphs, extras)
-    else:
-        write_graph(output, graphs[0], **extras[0])
+    write_graphs(output, graphs, extras=extras)
     _say_what_was_grown(output, graphs, extras)
     if picture is not None:
         save_picture(graphs[0], picture)
         print(f"{picture}: picture of scene 0 sample 0")
 
 
-@app.command
-def view(graph: Positional[Path], output: Output, index: int = 0) -> None:
-    """Draw a scene graph.
-
-    Args:
-      graph: JSON or JSON Lines, as written by `sg3d complete`.
-      output: the picture to write: PNG, PDF or SVG.
-      index: which graph of a file that holds several.
-    """
-    from sg3d_jax.interop.json import read_graphs
-    from sg3d_jax.viz.figure import save_picture
-
-    graphs = read_graphs(graph)
-    if not 0 <= index < len(graphs):
-        raise ValueError(f"{graph}: --index must be in 0..{len(graphs) - 1}, got {index}")
-    save_picture(graphs[index], output)
-    print(f"{output}: picture of {graph}")
-
-
-@app.command
 def train(config: Positional[Path], overrides: tyro.conf.Suppress[tuple[str, ...]] = ()) -> None:
     """Train a configuration; `sg3d train CONFIG --help` lists what can be overridden.
 
@@ -133,23 +101,22 @@ def train(config: Positional[Path], overrides: tyro.conf.Suppress[tuple[str, ...
     print(f"{run(chosen.config, chosen.output)}: weights of the best validation FGW")
 
 
-@app.command
 def evaluate(
     weights: Positional[str],
     data: str | None = None,
-    split: Literal["train", "validation", "test"] = "test",
+    split: Literal["train", "validation", "test", "all"] = "test",
     seed: int = 0,
     num_graphs: int | None = None,
     diffusion_steps: int | None = None,
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: OptionalOutput = None,
     sheet: Path | None = None,
 ) -> None:
     """Grow the scenes of a split from their planes and score them against the truth.
 
     Args:
       weights: weights by name, or an npz file.
-      data: a data set by name, or an npz file; by default the one the weights were trained on.
-      split: which part of it.
+      data: a data set by name, or a file of graphs; by default what the weights were trained on.
+      split: which part of it, or all.
       seed: of the samples.
       num_graphs: only the first so many scenes of the split.
       diffusion_steps: sampling steps of the topology.
@@ -160,10 +127,10 @@ def evaluate(
     from sg3d_jax.metrics.report import score
     from sg3d_jax.train.dataset import load_split
 
-    _check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
-    _check_at_least("--seed", seed, 0)
-    _check_output(output, (".json",))
-    _check_output(sheet, PICTURES)
+    check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
+    check_at_least("--seed", seed, 0)
+    check_output(output, (".json",))
+    check_output(sheet, PICTURES)
     trained = _trained(weights, diffusion_steps)
     source = trained.config.data
     if data is not None and data != source.name:
@@ -190,61 +157,6 @@ def evaluate(
             Path(temporary).write_text(json.dumps({**about, **report}, indent=2) + "\n")
     if sheet is not None:
         _draw_worst(sheet, graphs, truth, report["fgw_per_graph"])
-
-
-@data_app.command
-def make(
-    name: Positional[str], output: Output, num_graphs: int | None = None, seed: int = 0
-) -> None:
-    """Generate a data set.
-
-    Args:
-      name: which one, such as s-f.
-      output: the npz file to write.
-      num_graphs: how many; as many as the paper has by default.
-      seed: another seed gives other graphs.
-    """
-    from sg3d_jax.data import registry, schema
-
-    _check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
-    _check_at_least("--seed", seed, 0)
-    _check_output(output, (".npz",))
-    graphs = registry.make(name, num_graphs, seed)
-    schema.save(output, graphs, registry.header(name, seed))
-    print(f"{output}: {len(graphs)} graphs")
-
-
-@data_app.command
-def describe(name: Positional[str]) -> None:
-    """Print the statistics of a data set as JSON.
-
-    Args:
-      name: a data set by name, or an npz file.
-    """
-    from sg3d_jax.data import registry
-    from sg3d_jax.data.describe import describe as statistics
-
-    print(json.dumps(statistics(registry.load(name)), indent=2))
-
-
-app.command(data_app, name="data", help="Generate or describe data sets.")
-
-
-def _check_at_least(option: str, value: int, least: int) -> None:
-    """Refuses a number that is too small."""
-    if value < least:
-        raise ValueError(f"{option} must be at least {least}, got {value}")
-
-
-def _check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Refuses, before minutes of work, a file that could not be written after them."""
-    if path is None:
-        return
-    if path.suffix.lower() not in suffixes:
-        expected = " or ".join(suffixes)
-        raise ValueError(f"{path}: the name ends in {path.suffix!r}, expected {expected}")
-    if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise ValueError(f"{path}: cannot be written, expected a file in a folder that can")
 
 
 def _trained(weights: str, diffusion_steps: int | None) -> Any:
@@ -316,24 +228,3 @@ def _draw_worst(path: Path, graphs: list, truth: list, fgw: list[float], count: 
         rows.append(("truth", [truth[i] for i in chosen]))
         rows.append(("grown", [graphs[i] for i in chosen]))
     contact_sheet(rows, path)
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Runs the command line; exits with 2 after a refusal, with 130 after Ctrl-C."""
-    # XLA takes its own compiled programs, read back from disk, for those of another machine.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    arguments = sys.argv[1:] if arguments is None else arguments
-    try:
-        match arguments:
-            case ["--version"]:
-                print(f"sg3d {sg3d_jax.__version__}")
-            case ["train", config, *overrides] if not config.startswith("-"):
-                train(Path(config), tuple(overrides))
-            case _:
-                app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
-    except (ValueError, OverflowError, OSError, FloatingPointError) as error:
-        print(f"sg3d: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("sg3d: interrupted", file=sys.stderr)
-        raise SystemExit(130) from None

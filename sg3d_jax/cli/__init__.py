@@ -1,0 +1,41 @@
+"""The command line: `sg3d complete | view | export | train | evaluate | data`; commands delegate.
+
+A refusal is one sentence on stderr and exit code 2, with nothing written.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import tyro
+
+import sg3d_jax
+from sg3d_jax.cli import data
+from sg3d_jax.cli.files import export, view
+from sg3d_jax.cli.grow import complete, evaluate, train
+
+app = tyro.extras.SubcommandApp()
+for command in (complete, view, export, train, evaluate):
+    app.command(command)
+app.command(data.app, name="data", help="Make, import, describe, check or draw data sets.")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Runs the command line; exits with 2 after a refusal, with 130 after Ctrl-C."""
+    # XLA takes its own compiled programs, read back from disk, for those of another machine.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        match arguments:
+            case ["--version"]:
+                print(f"sg3d {sg3d_jax.__version__}")
+            case ["train", config, *overrides] if not config.startswith("-"):
+                train(Path(config), tuple(overrides))
+            case _:
+                app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
+    except (ValueError, OverflowError, OSError, FloatingPointError) as error:
+        print(f"sg3d: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("sg3d: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None

@@ -1,0 +1,48 @@
+"""What the commands share: how arguments look, and what is refused before any work is done."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import tyro
+
+Positional = tyro.conf.Positional
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+OptionalOutput = Annotated[Path | None, tyro.conf.arg(aliases=["-o"])]
+
+PICTURES: Final = (".png", ".pdf", ".svg")
+PAGES: Final = (".html",)
+
+
+def read(source: str, index: int | None = None, count: int | None = None) -> list[Any]:
+    """Returns graphs of a data set or a file: one of them, or the first so many."""
+    from sg3d_jax.data import registry
+    from sg3d_jax.data.formats import read_graphs
+
+    if source in registry.DATASETS:
+        chosen = count if index is None else index + 1
+        graphs = registry.make(source, chosen)
+    else:
+        graphs = read_graphs(source)[: None if index is not None else count]
+    if index is None:
+        return graphs
+    if not 0 <= index < len(graphs):
+        raise ValueError(f"{source}: --index must be in 0..{len(graphs) - 1}, got {index}")
+    return [graphs[index]]
+
+
+def check_at_least(option: str, value: int, least: int) -> None:
+    """Refuses a number that is too small."""
+    if value < least:
+        raise ValueError(f"{option} must be at least {least}, got {value}")
+
+
+def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Refuses, before minutes of work, a file that could not be written after them."""
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        expected = " or ".join(suffixes)
+        raise ValueError(f"{path}: the name ends in {path.suffix!r}, expected {expected}")
+    if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise ValueError(f"{path}: cannot be written, expected a file in a folder that can")

@@ -1,0 +1,175 @@
+"""`sg3d data ...`: data sets made, imported, described, checked and drawn."""
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from sg3d_jax.cli.arguments import (
+    PICTURES,
+    OptionalOutput,
+    Output,
+    Positional,
+    check_at_least,
+    check_output,
+    read,
+)
+from sg3d_jax.interop.files import replacing
+
+app: Final = tyro.extras.SubcommandApp()
+
+
+@app.command
+def make(
+    name: Positional[str], output: Output, num_graphs: int | None = None, seed: int = 0
+) -> None:
+    """Generate a data set.
+
+    Args:
+      name: which one, such as s-f.
+      output: the npz file to write.
+      num_graphs: how many; as many as the paper has by default.
+      seed: another seed gives other graphs.
+    """
+    from sg3d_jax.data import registry, schema
+
+    check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
+    check_at_least("--seed", seed, 0)
+    check_output(output, (".npz",))
+    graphs = registry.make(name, num_graphs, seed)
+    schema.save(output, graphs, registry.header(name, seed))
+    print(f"{output}: {len(graphs)} graphs")
+
+
+@app.command(name="import")
+def import_(name: Positional[str], source: Positional[Path], output: Output, seed: int = 0) -> None:
+    """Make a data set from a file that you have.
+
+    Args:
+      name: which one, such as m-f; `sg3d data describe` lists them.
+      source: the published zip or pickle (s-, m-, r-), the CSV of the MSD release (m-), floor plans
+        as JSON Lines (p-), or graphs in any format.
+      output: the npz file to write.
+      seed: of rotations, of buildings that are put together, and of the split by building.
+    """
+    from sg3d_jax.data import registry, schema
+
+    check_at_least("--seed", seed, 0)
+    check_output(output, (".npz",))
+    dataset = registry.import_file(name, source, seed)
+    schema.save(output, dataset.graphs, dataset.header)
+    print(f"{output}: {len(dataset.graphs)} graphs")
+
+
+@app.command
+def describe(
+    names: Positional[tuple[str, ...]] = (),
+    output: OptionalOutput = None,
+) -> None:
+    """Compare data sets with the paper's table; without a name, list those there are.
+
+    Args:
+      names: data sets by name, or npz files.
+      output: also write all statistics as JSON, by name.
+    """
+    from sg3d_jax.data import registry
+    from sg3d_jax.data.describe import describe as statistics
+
+    check_output(output, (".json",))
+    if not names:
+        _print_data_sets()
+        return
+    loaded = {name: registry.load(name) for name in names}
+    summaries = {name: statistics(dataset.graphs) for name, dataset in loaded.items()}
+    known = {name: str(dataset.header.get("name")) for name, dataset in loaded.items()}
+    _print_statistics(summaries, known)
+    if output is not None:
+        with replacing(output) as temporary:
+            temporary.write_text(json.dumps(summaries, indent=2) + "\n")
+
+
+@app.command
+def check(source: Positional[str]) -> None:
+    """Check every graph of a file, and say what is unusual about them.
+
+    Args:
+      source: a file of graphs in any format, or a data set by name.
+    """
+    from sg3d_jax.data.check import check as remarks_on
+    from sg3d_jax.scene.validate import validate_graph
+
+    graphs = read(source)
+    for index, graph in enumerate(graphs):
+        validate_graph(graph, f"{source}: graph {index}")
+    print(f"{source}: {len(graphs)} graphs, all sound")
+    for remark in remarks_on(graphs):
+        print(
+            f"{source}: {remark.what}: {remark.nodes} in {remark.graphs} "
+            f"graph{'s' * (remark.graphs != 1)}, first in graph {remark.first}"
+        )
+
+
+@app.command
+def sheet(source: Positional[str], output: Output, num_graphs: int = 24, first: int = 0) -> None:
+    """Draw the graphs of a data set beside one another.
+
+    Args:
+      source: a data set by name, or a file of graphs in any format.
+      output: the picture to write: PNG, PDF or SVG.
+      num_graphs: how many, six in a row.
+      first: the first of them.
+    """
+    from sg3d_jax.viz.figure import contact_sheet
+
+    check_at_least("--num-graphs", num_graphs, 1)
+    check_output(output, PICTURES)
+    graphs = read(source, count=first + num_graphs)[first:]
+    rows = [graphs[start : start + 6] for start in range(0, len(graphs), 6)]
+    contact_sheet([(f"{first + 6 * i}", row) for i, row in enumerate(rows)], output)
+    print(f"{output}: {len(graphs)} graphs of {source}")
+
+
+def _print_data_sets() -> None:
+    """Shows every data set that has a name."""
+    from sg3d_jax.data.registry import DATASETS
+
+    table = Table(title="Data sets")
+    for column in (
+        "name",
+        "graphs",
+        "levels",
+        "paper: graphs, |V|, |E|, degree",
+        "split",
+        "source",
+    ):
+        table.add_column(column, overflow="fold")
+    for name, spec in DATASETS.items():
+        paper = "" if spec.paper is None else ", ".join(f"{value:g}" for value in spec.paper)
+        size = "" if spec.num_graphs is None else str(spec.num_graphs)
+        levels = ", ".join(spec.levels[1:])
+        table.add_row(name, size, levels, paper, spec.split, spec.provenance)
+    Console().print(table)
+
+
+def _print_statistics(summaries: dict[str, dict[str, Any]], known: dict[str, str]) -> None:
+    """Shows the columns of the paper's table of data sets, the paper's figures in brackets."""
+    from sg3d_jax.data.registry import DATASETS
+    from sg3d_jax.scene.concepts import CONCEPTS
+
+    table = Table(title="Means over graphs [the paper's]")
+    table.add_column("data set")
+    for column in ("graphs", "|V|", "|E|", "degree", *(f"{concept}s" for concept in CONCEPTS)):
+        table.add_column(column, justify="right")
+    for name, summary in summaries.items():
+        paper = DATASETS[known[name]].paper if known[name] in DATASETS else None
+        stated = ("", "", "", "") if paper is None else [rf" \[{value:g}]" for value in paper]
+        ours = [str(summary["num_graphs"])]
+        ours += [f"{summary[column]['mean']:.1f}" for column in ("nodes", "edges", "degree")]
+        counts = [summary["concepts"].get(concept) for concept in CONCEPTS]
+        shown = ["" if count is None else f"{count['mean']:.2f}" for count in counts]
+        columns = [mine + theirs for mine, theirs in zip(ours, stated, strict=True)]
+        table.add_row(name, *columns, *shown)
+    Console().print(table)

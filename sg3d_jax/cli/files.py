@@ -1,0 +1,56 @@
+"""`sg3d view | export`: scene graphs to look at, and for other programs."""
+
+from typing import Literal
+
+from sg3d_jax.cli.arguments import PAGES, PICTURES, Output, Positional, check_output, read
+
+
+def view(source: Positional[str], output: Output, index: int | None = None) -> None:
+    """Draw scene graphs: a picture of one, or an interactive page of all.
+
+    Args:
+      source: a file of graphs or planes in any format, or a data set by name.
+      output: the picture (PNG, PDF, SVG) or the page (HTML, one file that needs no network).
+      index: which graph of several; by default the first for a picture, up to the first hundred
+        for a page.
+    """
+    from sg3d_jax.viz.figure import save_picture
+    from sg3d_jax.viz.page import save_page
+
+    check_output(output, (*PICTURES, *PAGES))
+    is_page = output.suffix.lower() in PAGES
+    graphs = read(source, index if is_page else index or 0, 100)
+    if is_page:
+        save_page(graphs, output, title=source)
+        print(f"{output}: page of {len(graphs)} graph{'s' * (len(graphs) != 1)} of {source}")
+    else:
+        save_picture(graphs[0], output)
+        print(f"{output}: picture of {source}")
+
+
+def export(
+    source: Positional[str],
+    output: Output,
+    to: Literal["json", "networkx", "spark-dsg", "graphml", "npz"] = "json",
+    index: int | None = None,
+    walls: Literal["edges", "metadata"] = "edges",
+) -> None:
+    """Write scene graphs in the format of another program; nothing is lost.
+
+    Args:
+      source: a file of graphs or planes in any format, or a data set by name.
+      output: .json for one graph or .jsonl for several, .graphml, .npz.
+      to: the format; networkx is its node-link JSON.
+      index: only this graph of several.
+      walls: for spark-dsg, whether planes are joined to their walls by edges, or name them in their
+        metadata, so that each plane has one parent as Hydra expects.
+    """
+    from sg3d_jax.data.formats import write_graphs
+
+    check_output(output, (".json", ".jsonl", ".graphml", ".npz"))
+    if walls != "edges" and to != "spark-dsg":
+        raise ValueError(f"--walls {walls} is for --to spark-dsg, got --to {to}")
+    graphs = read(source, index)
+    options = {"walls": walls} if to == "spark-dsg" else {}
+    write_graphs(output, graphs, to, **options)
+    print(f"{output}: {len(graphs)} graph{'s' * (len(graphs) != 1)} as {to}")
