@@ -226,27 +226,29 @@ def sides_of(shapes: np.ndarray, flatness: float = 0.0) -> Sides:
     """Returns a plane for every edge of every ring of some polygons.
 
     Args:
-      shapes: polygons of the rooms, of either sense; metres.
+      shapes: polygons, of either sense; metres.
       flatness: the corner that a ring starts at is dropped if it stands out by less, metres: it is
         the one that simplifying a ring leaves alone.
 
     Raises:
-      ValueError: a room has too few sides.
+      ValueError: a polygon has too few sides.
     """
     rings, room = shapely.get_rings(shapely.orient_polygons(shapes), return_index=True)
     points, ring = shapely.get_coordinates(rings, return_index=True)
-    opened = np.append(ring[1:] == ring[:-1], False)  # the last point repeats the first
+    moved = (points[1:] != points[:-1]).any(axis=1)
+    opened = np.append(moved & (ring[1:] == ring[:-1]), False)  # the last repeats the first
     points, ring = points[opened], ring[opened]
-    size = np.bincount(ring)
+    size = np.bincount(ring, minlength=len(rings))
+    if (size < MIN_SIDES).any():
+        held = f"polygon {room[np.argmin(size)]} has {size.min()} sides"
+        raise ValueError(f"{held}, expected at least {MIN_SIDES}")
     last = np.cumsum(size) - 1
     first = last - size + 1
     flat = _distance_to_line(points[first], points[last], points[first + 1]) < flatness
+    flat &= size > MIN_SIDES
     kept = np.ones(len(points), bool)
     kept[first[flat]] = False
     points, ring, size = points[kept], ring[kept], size - flat
-    if (size < MIN_SIDES).any():
-        bad = room[np.argmin(size)]
-        raise ValueError(f"rooms[{bad}] is flat, expected at least {MIN_SIDES} sides")
     following = np.arange(1, len(points) + 1)
     following[np.cumsum(size) - 1] -= size
     ends = np.stack([points, points[following]], axis=1)
@@ -317,8 +319,9 @@ def facing_pairs(sides: Sides, config: FloorplanConfig) -> Facing:
 def _without_rooms_between(facing: Facing, shapes: np.ndarray) -> Facing:
     """Drops the pairs with another room in their strip: a niche narrower than a wall."""
     lines = shapely.linestrings(facing.middle)
-    crossing, _ = shapely.STRtree(shapes).query(lines, predicate="intersects")
-    clear = ~np.isin(np.arange(len(lines)), crossing)
+    line, room = shapely.STRtree(shapes).query(lines, predicate="intersects")
+    hidden = shapely.length(shapely.intersection(lines[line], shapes[room])) > TOUCHING
+    clear = ~np.isin(np.arange(len(lines)), line[hidden])
     return Facing(*(field[clear] for field in facing))
 
 

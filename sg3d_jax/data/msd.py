@@ -1,0 +1,268 @@
+"""Floors from the release of Modified Swiss Dwellings (MSD), with its own walls: M-F, M-B, M-C.
+
+Read is the table of the release, `mds_V2_5.372k.csv`, a row a drawn thing: `apartment_id` (empty in
+shared spaces), `building_id`, `floor_id`, `roomtype` and `geom` (WKT, metres); its other columns
+(site_id, plan_id, unit_id, area_id, unit_usage, entity_type, entity_subtype, elevation, height,
+zoning) are not needed, and neither are the pickled graphs and images beside it. `roomtype` is one
+of nine kinds of room, Structure (walls, columns, shafts), Door, Entrance Door or Window.
+
+A floor is an apartment of one storey. Every edge of a room is a plane. A wall is a Structure
+polygon; it has the planes that its edges look at: each edge with a room before it counts for the
+plane of that room whose centre is nearest.
+
+Source: notebooks, `graphs.py` and `constants.py` of caspervanengelenburg/msd and snt-arg/msd, and
+`graph_from_msd` in snt-arg/situational_graphs_datasets; columns also from public scripts that use
+the table. The authors took the first 5,000 apartments, of which 3,467 have connected rooms.
+Differs: they worked on an earlier version of the table (5.664k). An apartment with a polygon that
+crosses itself, or with a roomtype not listed here, is left out.
+Not tried: the release itself, which was not at hand; the tests write a small table of this form.
+"""
+
+import csv
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+from scipy.sparse.csgraph import connected_components
+
+from sg3d_jax.data.buildings import Storey
+from sg3d_jax.data.floorplan import Sides, sides_of, storey_of
+from sg3d_jax.data.levels import Floor, Floors
+
+COLUMNS: Final = ("apartment_id", "building_id", "floor_id", "roomtype", "geom")
+BALCONY: Final = "Balcony"
+ROOM_TYPES: Final = (
+    "Bedroom",
+    "Livingroom",
+    "Kitchen",
+    "Dining",
+    "Corridor",
+    "Stairs",
+    "Storeroom",
+    "Bathroom",
+    BALCONY,
+)
+STRUCTURE: Final = "Structure"
+DOORS: Final = ("Door", "Entrance Door")
+WINDOW: Final = "Window"
+MAX_APARTMENTS: Final = 5000  # the floor that reaches so many is the last
+PASSAGE: Final = 0.04  # metres: rooms that are nearer have no wall between them
+PROBE: Final = 0.01  # metres before an edge of a wall, where a room is looked for
+MIN_PLANES: Final = 2  # of a wall
+
+
+class Thing(NamedTuple):
+    """A row of the table."""
+
+    apartment: str
+    building: str
+    floor: str
+    kind: str
+    geometry: str  # WKT
+    where: str  # file and line
+
+
+class Shapes(NamedTuple):
+    """What is drawn of one apartment: arrays of polygons, metres."""
+
+    rooms: np.ndarray
+    balcony: np.ndarray  # bool[r], which rooms are balconies
+    walls: np.ndarray
+    doors: np.ndarray
+    windows: np.ndarray
+
+
+def read_floors(path: str | Path, max_apartments: int = MAX_APARTMENTS) -> Floors:
+    """Reads the apartments of one storey whose rooms are connected.
+
+    Args:
+      path: the table, a .csv file.
+      max_apartments: with the floor that reaches so many, connected or not, reading ends.
+
+    Returns:
+      A floor an apartment, in the order of the table's floors, and a sentence for each apartment
+      of one storey that makes none.
+
+    Raises:
+      ValueError: the table is broken: one sentence that names the line and the column.
+    """
+    floors, left_out = [], []
+    for things in _single_storeys(path, max_apartments):
+        first = things[0]
+        origin = f"{first.floor}_{first.apartment}"
+        drawn = [_parse(thing) for thing in things]
+        try:
+            storey = storey_of_apartment(_sorted_shapes([t.kind for t in things], np.array(drawn)))
+            floors.append(Floor(first.building, origin, storey))
+        except ValueError as error:
+            left_out.append(f"{origin}: {error}")
+    return Floors(floors, left_out)
+
+
+def storey_of_apartment(shapes: Shapes) -> Storey:
+    """Turns an apartment into planes, walls and rooms.
+
+    Raises:
+      ValueError: it has no rooms, or they are not connected.
+    """
+    if not len(shapes.rooms):
+        raise ValueError("there are no rooms, expected at least one")
+    num_parts, _ = connected_components(adjacent_rooms(shapes), directed=False)
+    if num_parts > 1:
+        raise ValueError(f"the rooms are in {num_parts} parts, expected connected rooms")
+    sides = sides_of(_filled(shapes.rooms))
+    wall, used = wall_planes(sides, shapes)
+    wall_centre = shapely.get_coordinates(shapely.centroid(shapes.walls[used]))
+    return storey_of(sides, shapes.rooms, wall, wall_centre)
+
+
+def adjacent_rooms(shapes: Shapes) -> np.ndarray:
+    """Returns which rooms one can see from another, bool[r, r].
+
+    They are less than 4 cm apart, or a door turned by a right angle reaches both, or a window
+    turned likewise and shrunk to half does and one of them is a balcony.
+
+    Source: connect_rooms_by_proximity in snt-arg/msd.
+    """
+    tree = shapely.STRtree(shapes.rooms)
+    near = _incidence(tree.query(shapes.rooms, "dwithin", PASSAGE), shapes.rooms, shapes)
+    door = _incidence(tree.query(_turned(shapes.doors, 1.0), "intersects"), shapes.doors, shapes)
+    half = _turned(shapes.windows, 0.5)
+    window = _incidence(tree.query(half, "intersects"), shapes.windows, shapes)
+    outside = shapes.balcony[:, None] | shapes.balcony
+    return near | (door.T @ door) | (window.T @ window & outside)
+
+
+def wall_planes(sides: Sides, shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the planes of each wall that has at least two.
+
+    Returns:
+      int[k, 2], pairs (plane, wall), sorted, with walls counted anew; and the index of each wall
+      among the Structure polygons, int[w].
+
+    Source: add_other_geometry in snt-arg/msd; graph_from_msd in situational_graphs_datasets.
+    """
+    if not len(shapes.walls):
+        return np.zeros((0, 2), int), np.zeros(0, int)
+    edges = sides_of(_filled(shapes.walls))
+    middle = edges.ends.mean(axis=1)
+    probes = shapely.points(middle - PROBE * edges.normal)
+    edge, room = shapely.STRtree(shapes.rooms).query(probes, predicate="within")
+    plane_centre = sides.ends.mean(axis=1)
+    distance = np.linalg.norm(middle[edge][:, None] - plane_centre[None], axis=-1)
+    plane = np.where(sides.room == room[:, None], distance, np.inf).argmin(axis=1)
+    members = np.unique(np.column_stack([plane, edges.room[edge]]), axis=0)
+    num_planes = np.bincount(members[:, 1], minlength=len(shapes.walls))
+    members = members[num_planes[members[:, 1]] >= MIN_PLANES]
+    used, anew = np.unique(members[:, 1], return_inverse=True)
+    return np.column_stack([members[:, 0], anew]), used
+
+
+def _single_storeys(path: str | Path, max_apartments: int) -> Iterator[list[Thing]]:
+    """Yields what is drawn of each apartment of one storey, floor after floor."""
+    apartments: dict[str, list[Thing]] = {}
+    for thing in _things(path):
+        apartments.setdefault(thing.apartment, []).append(thing)
+    by_floor: dict[str, list[list[Thing]]] = {}
+    for things in apartments.values():
+        if len({thing.floor for thing in things}) == 1:
+            by_floor.setdefault(things[0].floor, []).append(things)
+    count = 0
+    for on_floor in by_floor.values():
+        if count >= max_apartments:
+            return
+        count += len(on_floor)
+        yield from on_floor
+
+
+def _things(path: str | Path) -> Iterator[Thing]:
+    """Yields the rows of the table that belong to an apartment."""
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file, strict=True)
+            _check_columns(reader.fieldnames or (), path)
+            for row in reader:
+                if thing := _thing(row, f"{path}: line {reader.line_num}"):
+                    yield thing
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}, expected a file to read") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: not UTF-8 text, expected a table") from error
+    except csv.Error as error:
+        raise ValueError(f"{path}: not a table ({error})") from error
+
+
+def _check_columns(names: Collection[str], path: str | Path) -> None:
+    for column in COLUMNS:
+        if column not in names:
+            raise ValueError(f"{path}: there is no column {column}, expected {', '.join(COLUMNS)}")
+
+
+def _thing(row: Mapping[str | None, str | None], where: str) -> Thing | None:
+    """Returns a row, or None if it belongs to no apartment."""
+    if None in row or None in row.values():
+        raise ValueError(f"{where} has not as many cells as the header, expected a cell a column")
+    apartment, building, floor, kind, geometry = (row[column] or "" for column in COLUMNS)
+    if not apartment:
+        return None
+    if not building or not floor:
+        empty = "floor_id" if building else "building_id"
+        raise ValueError(f"{where}: {empty} is empty, expected that of apartment {apartment}")
+    return Thing(apartment, building, floor, kind, geometry, where)
+
+
+def _parse(thing: Thing) -> shapely.Geometry:
+    """Returns the geometry of a row."""
+    try:
+        geometry = shapely.from_wkt(thing.geometry)
+    except shapely.GEOSException as error:
+        held = f"{thing.geometry!r:.40}"
+        raise ValueError(f"{thing.where}: geom is {held}, expected WKT") from error
+    if not np.isfinite(shapely.get_coordinates(geometry)).all():
+        held = f"{thing.geometry!r:.40}"
+        raise ValueError(f"{thing.where}: geom is {held}, expected finite numbers")
+    return geometry
+
+
+def _sorted_shapes(kinds: list[str], drawn: np.ndarray) -> Shapes:
+    """Sorts what is drawn of an apartment by kind.
+
+    Raises:
+      ValueError: of unknown kind, no polygon, or one that crosses itself.
+    """
+    for kind, shape in zip(kinds, drawn, strict=True):
+        if kind not in (*ROOM_TYPES, STRUCTURE, *DOORS, WINDOW):
+            raise ValueError(f"roomtype {kind!r:.40} is not one of MSD's")
+        if not isinstance(shape, shapely.Polygon) or not shape.is_valid or shape.is_empty:
+            raise ValueError(f"a {kind} is no simple polygon")
+    kind = np.array(kinds)
+    is_room = np.isin(kind, ROOM_TYPES)
+    return Shapes(
+        rooms=drawn[is_room],
+        balcony=kind[is_room] == BALCONY,
+        walls=drawn[kind == STRUCTURE],
+        doors=drawn[np.isin(kind, DOORS)],
+        windows=drawn[kind == WINDOW],
+    )
+
+
+def _filled(shapes: np.ndarray) -> np.ndarray:
+    """Returns polygons without their holes: only outer edges are planes."""
+    return shapely.polygons(shapely.get_exterior_ring(shapes))
+
+
+def _turned(shapes: np.ndarray, scale: float) -> np.ndarray:
+    """Turns each shape about its centroid by a right angle and scales it."""
+    points, owner = shapely.get_coordinates(shapes, return_index=True)
+    centre = shapely.get_coordinates(shapely.centroid(shapes))[owner]
+    x, y = (points - centre).T
+    return shapely.set_coordinates(shapes.copy(), centre + scale * np.column_stack([-y, x]))
+
+
+def _incidence(pairs: np.ndarray, shapes: np.ndarray, apartment: Shapes) -> np.ndarray:
+    """Returns pairs (shape, room) as a matrix, bool[n, r]."""
+    met = np.zeros((len(shapes), len(apartment.rooms)), bool)
+    met[pairs[0], pairs[1]] = True
+    return met
