@@ -10,7 +10,7 @@ Differs: a parallel projection, so that parallel walls stay parallel and every s
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,43 +19,27 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sg3d_jax.interop.files import replacing
-from sg3d_jax.scene.concepts import (
-    BUILDING,
-    CITY,
-    CONCEPTS,
-    FLOOR,
-    PART_OF,
-    PLANE,
-    ROOM,
-    WALL,
-)
+from sg3d_jax.scene.concepts import CONCEPTS, PART_OF, PLANE
 from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.viz.style import (
+    EDGE_COLOUR,
+    STYLES,
+    crowding,
+    lifted,
+    plane_segments,
+    project,
+    view_of,
+)
 
-
-class Style(NamedTuple):
-    """How one concept is drawn."""
-
-    colour: str
-    lift: float  # metres, up
-    size: float  # diameter of the dot, points
-
-
-STYLES: Final = {
-    PLANE: Style("#1d4ed8", 0.0, 4.0),
-    WALL: Style("#f59e0b", 1.0, 5.0),
-    ROOM: Style("#dc2626", 2.0, 7.0),
-    FLOOR: Style("#16a34a", 3.0, 9.0),
-    BUILDING: Style("#06b6d4", 4.0, 11.0),
-    CITY: Style("#111111", 5.0, 12.0),
-}
-EDGE_COLOUR: Final = "#8b919c"
 EDGE_WIDTH: Final = 0.7  # points
 PLANE_WIDTH: Final = 1.5  # points
-ELEVATION, AZIMUTH = np.radians([32.0, -62.0])  # the camera; nearly that of the paper's pictures
 RESOLUTION: Final = 200  # dots per inch
 PICTURE_WIDTH: Final = 8.0  # inches
 CELL_WIDTH: Final = 3.0  # inches, one graph of a contact sheet
+SHEET_COLUMNS: Final = 6
 LEGEND_HEIGHT: Final = 0.6  # inches
+CAPTION_SIZE: Final = 9  # points
+CAPTION_COLOUR: Final = "#475467"
 
 
 def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) -> Axes:
@@ -64,7 +48,7 @@ def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) 
     Args:
       graph: unpadded, metres.
       axes: where to draw; None for the axes of a new figure.
-      scale: of lines and dots; 1 suits a picture 8 inches wide.
+      scale: of lines and dots; 1 suits a picture 8 inches wide. Those of large graphs are smaller.
 
     Returns:
       The axes, without ticks or frame, a metre equally long in every direction.
@@ -72,8 +56,10 @@ def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) 
     if axes is None:
         axes = Figure(layout="constrained").add_subplot()
     label = np.asarray(graph.nodes.label)
-    nodes = project(lifted(graph))
-    edges, planes = nodes[undirected_edges(graph, PART_OF)], project(plane_segments(graph))
+    azimuth, scale = view_of(graph), scale * crowding(graph)
+    nodes = project(lifted(graph), azimuth)
+    planes = project(plane_segments(graph), azimuth)
+    edges = nodes[undirected_edges(graph, PART_OF)]
     _add_lines(axes, edges, EDGE_COLOUR, EDGE_WIDTH * scale, zorder=1)
     _add_lines(axes, planes, STYLES[PLANE].colour, PLANE_WIDTH * scale, zorder=2)
     for concept in sorted(set(label.tolist())):
@@ -84,30 +70,6 @@ def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) 
     axes.spines[:].set_visible(False)
     axes.margins(0.04)
     return axes
-
-
-def plane_segments(graph: SceneGraph) -> np.ndarray:
-    """Returns the two ends of every plane of a host graph, float64[planes, 2, 3], metres."""
-    position, normal, width = (np.asarray(field) for field in graph.nodes[1:4])
-    chosen = np.asarray(graph.nodes.label) == PLANE
-    along = np.cross(np.array([0.0, 0.0, 1.0]), normal[chosen])
-    half = along * width[chosen, None] / 2
-    return np.stack([position[chosen] - half, position[chosen] + half], axis=1)
-
-
-def lifted(graph: SceneGraph) -> np.ndarray:
-    """Returns where the nodes of a host graph are drawn, float64[n, 3], metres."""
-    lifts = np.array([STYLES[concept].lift for concept in range(len(CONCEPTS))])
-    points = np.array(graph.nodes.position, np.float64)
-    points[:, 2] += lifts[np.asarray(graph.nodes.label)]
-    return points
-
-
-def project(points: np.ndarray) -> np.ndarray:
-    """Returns the parallel projection of points [..., 3] on the picture [..., 2]: right and up."""
-    right = [-np.sin(AZIMUTH), np.cos(AZIMUTH), 0.0]
-    away = np.array([np.cos(AZIMUTH), np.sin(AZIMUTH)]) * -np.sin(ELEVATION)
-    return points @ np.array([right, [*away, np.cos(ELEVATION)]]).T
 
 
 def save_picture(graph: SceneGraph, path: str | Path, title: str | None = None) -> None:
@@ -127,12 +89,17 @@ def save_picture(graph: SceneGraph, path: str | Path, title: str | None = None) 
     _save(figure, path)
 
 
-def contact_sheet(rows: Sequence[tuple[str, Sequence[SceneGraph]]], path: str | Path) -> None:
+def contact_sheet(
+    rows: Sequence[tuple[str, Sequence[SceneGraph]]],
+    path: str | Path,
+    captions: Sequence[str] = (),
+) -> None:
     """Draws rows of host graphs, such as true and generated ones, above one another.
 
     Args:
       rows: a title and the graphs of each row, left to right; empty rows are left out.
       path: the file to write.
+      captions: small print above each graph, in reading order; none by default.
 
     Raises:
       ValueError: there is nothing to draw, the format is unknown or the file cannot be written.
@@ -144,19 +111,44 @@ def contact_sheet(rows: Sequence[tuple[str, Sequence[SceneGraph]]], path: str | 
     firsts = np.cumsum([0] + [len(row) for _, row in rows[:-1]])
     for first, (title, _) in zip(firsts, rows, strict=True):
         figure.axes[first].set_ylabel(title)
+    for axes, caption in zip(figure.axes, captions, strict=False):
+        axes.set_adjustable("datalim")  # every axes fills its cell, so that captions align
+        axes.set_title(caption, fontsize=CAPTION_SIZE, color=CAPTION_COLOUR)
     _save(figure, path)
+
+
+def dataset_sheet(
+    graphs: Sequence[SceneGraph], path: str | Path, first: int = 0, columns: int = SHEET_COLUMNS
+) -> None:
+    """Draws host graphs of a data set as a contact sheet; captions give index and node count.
+
+    Args:
+      graphs: unpadded, metres; of any sizes.
+      path: the file to write.
+      first: the index of the first graph in its data set.
+      columns: graphs in a row.
+
+    Raises:
+      ValueError: there is nothing to draw, the format is unknown or the file cannot be written.
+    """
+    rows = [("", graphs[start : start + columns]) for start in range(0, len(graphs), columns)]
+    captions = [f"{i}: |V| = {len(graph.nodes.label)}" for i, graph in enumerate(graphs, first)]
+    contact_sheet(rows, path, captions)
 
 
 def _draw_rows(rows: Sequence[Sequence[SceneGraph]], width: float) -> Figure:
     """Returns a figure of rows of graphs, each `width` inches wide, with one legend below."""
     figure = Figure(layout="constrained")
     columns = max(len(row) for row in rows)
+    grid = figure.add_gridspec(len(rows), columns)
+    heights = []
     for index, row in enumerate(rows):
-        for column, graph in enumerate(row, start=1):
-            axes = figure.add_subplot(len(rows), columns, index * columns + column)
+        drawn = [figure.add_subplot(grid[index, column]) for column in range(len(row))]
+        for axes, graph in zip(drawn, row, strict=True):
             draw_graph(graph, axes, scale=(width / PICTURE_WIDTH) ** 0.5)
-    height = width * max(_height_by_width(axes) for axes in figure.axes)
-    figure.set_size_inches(width * columns, height * len(rows) + LEGEND_HEIGHT)
+        heights.append(width * max(_height_by_width(axes) for axes in drawn))
+    grid.set_height_ratios(heights)
+    figure.set_size_inches(width * columns, sum(heights) + LEGEND_HEIGHT)
     _add_legend(figure, [graph for row in rows for graph in row])
     return figure
 

@@ -1,0 +1,308 @@
+"""Scene graphs as one interactive page: turn it, switch layers on and off, read what nodes hold.
+
+A page is one file that works offline: plotly's program (about 5 MB; its smaller bundles do not come
+with the Python package) is inside, and the page's own policy forbids it to load anything else. The
+same graphs give the same bytes. A layer is one or two traces, so that cities stay fluid.
+"""
+
+import html
+import json
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sg3d_jax.interop.files import replacing
+from sg3d_jax.scene.concepts import CONCEPTS, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
+from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.viz.style import (
+    EDGE_COLOUR,
+    STYLES,
+    crowding,
+    lifted,
+    plane_segments,
+    project,
+    view_of,
+)
+
+PROXIMITY_COLOUR: Final = "#b794f4"
+EDGE_WIDTH: Final = 2.0  # pixels
+DOT_SCALE: Final = 1.4  # pixels of a dot here, a point of its diameter in a picture
+STRIP_HEIGHT: Final = 0.5  # metres; a plane is drawn as a strip around its centroid
+STRIP_OPACITY: Final = 0.35
+NORMAL_LENGTH: Final = 0.3  # metres
+FILL: Final = 1.5  # plotly's units, the height of a scene that just fits its window
+WIDE: Final = 1.6  # width of a window, in heights
+DISTANCE: Final = 2.0  # of the camera, in sizes of the scene; without effect on what is seen
+MARGIN: Final = 0.5  # metres around a scene
+IDS_SHOWN: Final = 12
+DECIMALS: Final = 3  # of drawn coordinates, millimetres
+
+AXIS: Final = {
+    "title": {"text": ""},
+    "ticksuffix": " m",
+    "tickfont": {"color": "#98a2b3", "size": 11},
+    "showbackground": False,
+    "showgrid": False,
+    "showline": True,
+    "linecolor": "#d0d5dd",
+    "ticks": "outside",
+    "tickcolor": "#d0d5dd",
+    "showspikes": False,
+    "zeroline": False,
+}
+BUTTONS: Final = ["toImage", "pan3d", "orbitRotation", "tableRotation", "resetCameraDefault3d"]
+CONFIG: Final = {
+    "modeBarButtons": [BUTTONS],
+    "displaylogo": False,
+    "responsive": True,
+    "scrollZoom": True,
+    "showTips": False,
+}
+
+
+def save_page(
+    graphs: Sequence[SceneGraph],
+    path: str | Path,
+    title: str | None = None,
+    names: Sequence[str] | None = None,
+) -> None:
+    """Writes host graphs as one self-contained interactive HTML page.
+
+    Args:
+      graphs: unpadded, metres; one is shown at a time, chosen from a list.
+      path: the file to write.
+      title: of the page; plain text.
+      names: of the graphs in the list, such as "truth" and "grown"; numbered by default.
+
+    Raises:
+      ValueError: there is nothing to show, the names are too few or too many, or the file cannot be
+        written.
+    """
+    from plotly.offline import get_plotlyjs
+
+    if not graphs:
+        raise ValueError(f"{path}: there are no graphs, expected at least one to show")
+    if names is None:
+        names = [f"graph {index}" for index in range(len(graphs))]
+    if len(names) != len(graphs):
+        raise ValueError(f"{path}: {len(names)} names for {len(graphs)} graphs, expected one each")
+    used = sorted(
+        {concept for graph in graphs for concept in np.unique(graph.nodes.label).tolist()}
+    )
+    shown = [
+        {
+            "name": name,
+            "counts": _counts(graph),
+            "text": hover_text(graph),
+            "data": graph_traces(graph, used),
+            "layout": _layout(graph),
+        }
+        for name, graph in zip(names, graphs, strict=True)
+    ]
+    parts = {
+        "title": html.escape(title or "scene graph"),
+        "data": _script_json({"graphs": shown, "config": CONFIG}),
+        "plotly": get_plotlyjs(),
+    }
+    page = resources.files("sg3d_jax.viz").joinpath("page.html").read_text(encoding="utf-8")
+    pieces = page.replace("}}", "{{").split("{{")  # text, name, text, name, ..., text
+    with replacing(path) as temporary:
+        text = "".join(parts[piece] if i % 2 else piece for i, piece in enumerate(pieces))
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def graph_traces(
+    graph: SceneGraph, concepts: Sequence[int] = range(NUM_CONCEPTS)
+) -> list[dict[str, Any]]:
+    """Returns the plotly traces of a host graph: its edges, planes, then nodes.
+
+    Args:
+      graph: unpadded, metres.
+      concepts: what gets a layer. A page gives all its graphs the same layers, empty or not, so
+        that a hidden layer stays hidden when another graph is chosen.
+
+    Returns:
+      Traces whose `customdata` is the node that each point stands for; the page looks its text up,
+      so that a text is stored once.
+    """
+    points, label = lifted(graph), np.asarray(graph.nodes.label)
+    rows = [(concept, np.flatnonzero(label == concept)) for concept in concepts]
+    scale = DOT_SCALE * crowding(graph)
+    part_of, proximity = (points[undirected_edges(graph, r)] for r in (PART_OF, PROXIMITY))
+    return [
+        _lines("proximity", proximity, PROXIMITY_COLOUR, visible="legendonly", legendrank=1002),
+        _lines("part of", part_of, EDGE_COLOUR, legendrank=1001),
+        *_planes(graph),
+        *(_dots(concept, points[chosen], chosen, scale) for concept, chosen in rows),
+    ]
+
+
+def hover_text(graph: SceneGraph) -> list[str]:
+    """Returns what a page says about each node of a host graph, in plotly's few HTML tags."""
+    label = np.asarray(graph.nodes.label)
+    children: list[list[int]] = [[] for _ in label]
+    parents: list[list[int]] = [[] for _ in label]
+    for pair in undirected_edges(graph, PART_OF):
+        child, parent = pair[np.argsort(label[pair], kind="stable")].tolist()
+        children[parent].append(child)
+        parents[child].append(parent)
+    texts = []
+    for row, concept in enumerate(label.tolist()):
+        position, normal, width = (np.asarray(field)[row] for field in graph.nodes[1:4])
+        lines = [f"<b>{CONCEPTS[concept]} {row}</b>", f"centroid {_vector(position)} m"]
+        if concept == PLANE:
+            lines += [f"width {width:.2f} m", f"normal {_vector(normal)}"]
+        number = "1 child" if len(children[row]) == 1 else f"{len(children[row])} children"
+        lines += _kin("part of", parents[row], label) + _kin(f"{number}:", children[row], label)
+        texts.append("<br>".join(lines))
+    return texts
+
+
+def _kin(heading: str, rows: Sequence[int], label: np.ndarray) -> list[str]:
+    """Returns a line that names other nodes, or none."""
+    if not rows:
+        return []
+    named = [f"{CONCEPTS[label[row]]} {row}" for row in sorted(rows)[:IDS_SHOWN]]
+    more = [f"{len(rows) - IDS_SHOWN} more"] if len(rows) > IDS_SHOWN else []
+    return [f"{heading} {', '.join(named + more)}"]
+
+
+def _vector(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.round(values, 2)) + ")"
+
+
+def _counts(graph: SceneGraph) -> str:
+    counts = np.bincount(graph.nodes.label, minlength=NUM_CONCEPTS).tolist()
+    named = zip(counts, CONCEPTS, strict=True)
+    return " · ".join(f"{name} {count}" for count, name in named if count)
+
+
+def _planes(graph: SceneGraph) -> list[dict[str, Any]]:
+    """Returns the strips of the planes, and a line along each with its normal."""
+    ends, middle = plane_segments(graph), plane_segments(graph).mean(axis=1)
+    rows = np.flatnonzero(np.asarray(graph.nodes.label) == PLANE)
+    normal = np.asarray(graph.nodes.normal)[rows]
+    normals = np.stack([middle, middle + NORMAL_LENGTH * normal], axis=1)
+    up = np.array([[[0.0, 0.0, STRIP_HEIGHT / 2]]])
+    corners = np.concatenate([ends - up, ends + up], axis=1).reshape(-1, 3)
+    first = 4 * np.arange(len(ends))[:, None]
+    triangles = np.concatenate([first + np.array([[0, 1, 2]]), first + np.array([[1, 3, 2]])])
+    strips = {
+        "type": "mesh3d",
+        "uid": "strips",
+        "legendgroup": CONCEPTS[PLANE],
+        **_coordinates(corners),
+        **dict(zip("ijk", triangles.T.tolist(), strict=True)),
+        "color": STYLES[PLANE].colour,
+        "opacity": STRIP_OPACITY,
+        "flatshading": True,
+        "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0},
+        "hoverinfo": "text",
+        "customdata": np.repeat(rows, 4).tolist(),
+    }
+    lines = _lines(
+        "plane lines",
+        np.concatenate([ends, normals]),
+        STYLES[PLANE].colour,
+        legendgroup=CONCEPTS[PLANE],
+        showlegend=False,
+        hoverinfo="text",
+        customdata=np.tile(np.repeat(rows, 3), 2).tolist(),
+    )
+    return [strips, lines]
+
+
+def _dots(concept: int, points: np.ndarray, rows: np.ndarray, scale: float) -> dict[str, Any]:
+    style = STYLES[concept]
+    return {
+        "type": "scatter3d",
+        "uid": CONCEPTS[concept],
+        "legendgroup": CONCEPTS[concept],
+        "name": CONCEPTS[concept],
+        "mode": "markers",
+        **_coordinates(points),
+        "marker": {
+            "color": style.colour,
+            "size": round(style.size * scale, 2),
+            "opacity": 1.0,
+            "line": {"color": "#ffffff", "width": 1},
+        },
+        "hoverinfo": "text",
+        "customdata": rows.tolist(),
+    }
+
+
+def _lines(name: str, ends: np.ndarray, colour: str, **options: Any) -> dict[str, Any]:
+    """Returns one trace of separate lines, float[n, 2, 3]."""
+    gaps = np.full((len(ends), 1, 3), np.nan)
+    return {
+        "type": "scatter3d",
+        "uid": name,
+        "legendgroup": name,
+        "name": name,
+        "mode": "lines",
+        **_coordinates(np.concatenate([ends, gaps], axis=1).reshape(-1, 3)),
+        "line": {"color": colour, "width": EDGE_WIDTH},
+        "hoverinfo": "skip",
+    } | options
+
+
+def _coordinates(points: np.ndarray) -> dict[str, list[float | None]]:
+    """Returns x, y and z; NaN, which ends a line, is null in JSON."""
+    columns = (np.round(points, DECIMALS) + 0.0).T.tolist()
+    return {
+        axis: [None if np.isnan(value) else value for value in column]
+        for axis, column in zip("xyz", columns, strict=True)
+    }
+
+
+def _layout(graph: SceneGraph) -> dict[str, Any]:
+    """Returns the plotly layout of a page that shows a host graph."""
+    return {
+        "scene": _scene(graph),
+        "font": {"family": "system-ui, sans-serif"},
+        "hoverlabel": {"align": "left", "bgcolor": "#ffffff", "font": {"size": 13}},
+        "legend": {"font": {"size": 15}, "itemsizing": "constant", "x": 0.01, "y": 0.99},
+        "margin": {"b": 0, "l": 0, "r": 0, "t": 0},
+        "modebar": {"bgcolor": "#ffffff", "color": "#98a2b3", "activecolor": "#475467"},
+        "uirevision": "kept",  # another graph of the page keeps the layers and the view
+    }
+
+
+def _scene(graph: SceneGraph) -> dict[str, Any]:
+    """Returns the view: fixed ranges, so that nothing moves when a layer is hidden."""
+    azimuth = view_of(graph)
+    points = np.concatenate([lifted(graph), plane_segments(graph).reshape(-1, 3)])
+    low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
+    seen = project(points - (low + high)[None] / 2, azimuth)
+    width, height = np.ptp(seen, axis=0) + 2 * MARGIN
+    scale = FILL / max(width / WIDE, height)
+    axes = project(np.eye(3), azimuth)  # right and up, as columns
+    centre = axes @ (seen.min(axis=0) + seen.max(axis=0)) / 2 * scale
+    eye = centre + DISTANCE * np.cross(axes[:, 0], axes[:, 1])
+    ranges = [{"range": np.round(ends, DECIMALS).tolist()} for ends in zip(low, high, strict=True)]
+    return {
+        "aspectmode": "manual",
+        "aspectratio": _by_axis((high - low) * scale),
+        "camera": {
+            "center": _by_axis(centre),
+            "eye": _by_axis(eye),
+            "projection": {"type": "orthographic"},
+        },
+        "dragmode": "turntable",
+        "xaxis": AXIS | ranges[0],
+        "yaxis": AXIS | ranges[1],
+        "zaxis": {"visible": False} | ranges[2],
+    }
+
+
+def _by_axis(values: np.ndarray) -> dict[str, float]:
+    return dict(zip("xyz", np.round(values, 6).tolist(), strict=True))
+
+
+def _script_json(value: object) -> str:
+    """Returns JSON that cannot end the script element that holds it."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
