@@ -158,14 +158,14 @@ def city_graph(
     storeys = [storey for building in buildings for storey in building.storeys]
     heights = np.concatenate([building.heights for building in buildings]).astype(float)
     building_of_floor = np.repeat(np.arange(len(buildings)), [len(b.storeys) for b in buildings])
-    floor = _raised([storey.centre[None] for storey in storeys], heights)
+    floor = raised([storey.centre[None] for storey in storeys], heights)
     building = np.stack(
         [_above(floor[building_of_floor == b], BUILDING_ABOVE_FLOOR) for b in range(len(buildings))]
     )
     layers = [
-        _raised([storey.plane for storey in storeys], heights),
-        _raised([storey.wall_centre for storey in storeys], heights),
-        _raised([storey.room_centre for storey in storeys], heights),
+        raised([storey.plane for storey in storeys], heights),
+        raised([storey.wall_centre for storey in storeys], heights),
+        raised([storey.room_centre for storey in storeys], heights),
         floor,
         building,
         _above(building, CITY_ABOVE_BUILDING)[None],
@@ -189,7 +189,7 @@ def city_graph(
     )
 
 
-def _raised(layers: Sequence[np.ndarray], heights: np.ndarray) -> np.ndarray:
+def raised(layers: Sequence[np.ndarray], heights: np.ndarray) -> np.ndarray:
     """Returns the points of all storeys, float[n, 3], each at the height of its storey."""
     z = np.repeat(heights, [len(layer) for layer in layers])
     return np.column_stack([np.concatenate(layers), z])

@@ -1,303 +1,235 @@
-"""Synthetic floors as in the paper's S-F-square and S-F: random rectangles packed on a grid.
+"""Synthetic scenes: the floors of the paper's S-F-square and S-F, the cities of S-C, and more.
 
-A floor is drawn as a `Plan` in the xy plane, changed by pure functions (merging rooms into L
-shapes, rotating), and turned into a scene graph last. Sides of a rectangle are numbered
-counter-clockwise from +x; plane `4 r + s` is side s of room r until rooms merge.
+A city is drawn floor by floor as plans, which are stacked and placed first. Proximity edges join
+the planes as drawn; rooms merge afterwards, in each storey differently, and floors, buildings and
+the city stay where they were.
 
 Source: paper, Sec. "Datasets"; rules and constants as observed in the graphs and settings that the
 authors published (snt-arg/situational_graphs_datasets).
-Differs: random numbers are our own, so graphs agree in distribution, not one by one; rooms are
-packed along a skyline instead of cell by cell, which gives the same rectangles; at most one pair of
-planes is fused when rooms merge, where the authors' tolerance fuses two or three in 2 of 1,000
-merges.
+Differs: see `synthetic_floor` and `buildings`. S-B, a building alone, and `LARGE` are our own.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from itertools import chain
+from typing import Final
 
 import numpy as np
 
-from sg3d_jax.scene.concepts import FLOOR, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph
+from sg3d_jax.data.buildings import Building, Motion, city_graph, place, raised
+from sg3d_jax.data.synthetic_floor import (
+    Plan,
+    SyntheticConfig,
+    draw_plan,
+    fit_plan,
+    merge_rooms,
+    move_plan,
+    storey_of,
+    without_removed,
+)
+from sg3d_jax.scene.concepts import BUILDING, CITY, FLOOR
+from sg3d_jax.scene.graph import SceneGraph
 
-_OUTWARD: Final = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
-_LEFT: Final = np.roll(_OUTWARD, -1, axis=0)  # each outward direction turned by +90 degrees
-# Below so many square metres two planes count as one line. As published, this also catches planes
-# one cell out of line and, in 2 of 1,000 merges, a 0.1 m stub and the wall at right angles to it.
-_MAX_COLLINEAR_AREA: Final = 0.1
-_SIDES: Final = 4
+NEIGHBOURS: Final = 10  # nearest planes that a plane of a city is joined to, as published
 
 
 @dataclass(frozen=True)
-class SyntheticConfig:
-    """How floors are drawn.
+class CityConfig:
+    """How buildings and cities are drawn.
 
     Attributes:
-      cell: side of a grid cell, metres.
-      grid_cells: least and greatest number of cells a floor has in x and in y.
-      room_cells: least and greatest number of cells a room has in x and in y. A free spot smaller
-        than the least becomes a hole.
-      wall_thickness: range of the wall thickness, one draw a floor, metres. Facing planes of
-        neighbouring rooms are half a thickness apart, as in the published graphs.
-      merge_ratio: probability that a wall is tried for merging its two rooms.
-      rotate: whether the floor is turned about the origin by a uniform angle.
-      stale_width: whether a plane fused from two keeps the width of one of them, as in the
-        published graphs (6.5 % of the planes of S-F), instead of its true extent.
+      floor: how each floor is drawn. Its rooms merge last of all; `rotate` turns the base building.
+      storeys: least and greatest number of storeys of the base building, which are alike but for
+        the merging of their rooms.
+      extra_buildings: least and greatest number of further buildings, each of its own ground floor
+        and, in the box of this, its own upper floors.
+      extra_storeys: least and greatest number of storeys of a further building.
+      storey_height: metres from floor to floor.
+      radius: of the disc around the base building in which the others are placed, metres.
+      unevenness: greatest height of a further building above or below the base building, metres.
+      top: highest concept of the graph, `BUILDING` or `CITY`.
 
     Raises:
-      ValueError: a range is empty or no room fits in the floor.
+      ValueError: a range is empty, a length is not positive, or several buildings have no city.
     """
 
-    cell: float = 0.1
-    grid_cells: tuple[int, int] = (50, 100)
-    room_cells: tuple[int, int] = (10, 75)
-    wall_thickness: tuple[float, float] = (0.16, 0.20)
-    merge_ratio: float = 0.0
-    rotate: bool = False
-    stale_width: bool = True
+    floor: SyntheticConfig = SyntheticConfig(merge_ratio=0.5)
+    storeys: tuple[int, int] = (2, 2)
+    extra_buildings: tuple[int, int] = (1, 1)
+    extra_storeys: tuple[int, int] = (1, 2)
+    storey_height: float = 3.0
+    radius: float = 20.0
+    unevenness: float = 2.0
+    top: int = CITY
 
     def __post_init__(self) -> None:
-        """Refuses settings that no floor can be drawn with."""
-        for name in ("grid_cells", "room_cells", "wall_thickness"):
+        """Refuses settings that no city can be drawn with."""
+        for name, fewest in (("storeys", 1), ("extra_buildings", 0), ("extra_storeys", 1)):
             low, high = getattr(self, name)
-            if not 0 < low <= high:
-                raise ValueError(f"{name} is ({low}, {high}), expected 0 < least <= greatest")
-        if self.room_cells[0] > self.grid_cells[0]:
+            if not fewest <= low <= high:
+                raise ValueError(
+                    f"{name} is ({low}, {high}), expected {fewest} <= least <= greatest"
+                )
+        for name in ("storey_height", "radius"):
+            metres = getattr(self, name)
+            if not 0 < metres < np.inf:
+                raise ValueError(f"{name} is {metres:g}, expected a positive number of metres")
+        if not 0 <= self.unevenness < np.inf:
+            raise ValueError(f"unevenness is {self.unevenness:g}, expected 0 m or more")
+        if self.top not in (BUILDING, CITY):
+            raise ValueError(f"top is {self.top}, expected {BUILDING} (building) or {CITY} (city)")
+        if self.top == BUILDING and self.extra_buildings[1]:
             raise ValueError(
-                f"the narrowest room has {self.room_cells[0]} cells and the narrowest floor "
-                f"{self.grid_cells[0]}, expected a room to fit in every floor"
+                f"extra_buildings reaches {self.extra_buildings[1]} below a building as the "
+                "highest concept, expected 0"
             )
-        narrowest = self.cell * self.room_cells[0]
-        if self.wall_thickness[1] >= 2 * narrowest:
-            raise ValueError(
-                f"wall_thickness reaches {self.wall_thickness[1]:g} m, expected less than twice "
-                f"the narrowest room of {narrowest:g} m"
-            )
-        if not 0 <= self.merge_ratio <= 1:
-            raise ValueError(f"merge_ratio is {self.merge_ratio:g}, expected 0 to 1")
 
 
 S_F_SQUARE: Final = SyntheticConfig(room_cells=(10, 100), rotate=True)
 S_F: Final = SyntheticConfig(merge_ratio=0.7)
+S_C: Final = CityConfig()
+S_B: Final = CityConfig(extra_buildings=(0, 0), top=BUILDING)
+LARGE: Final = CityConfig(storeys=(2, 5), extra_buildings=(1, 3), extra_storeys=(2, 5), radius=40.0)
 
 
-class Plan(NamedTuple):
-    """One floor: `p` planes, `r` rooms, `w` walls, all at the same height; metres."""
-
-    ends: np.ndarray  # float[p, 2, 2], the two end points of each plane
-    normal: np.ndarray  # float[p, 2], unit, into the room
-    width: np.ndarray  # float[p], as published: may differ from the distance of the ends
-    room: np.ndarray  # int[p], the room of each plane; -1 marks a plane being removed
-    centre: np.ndarray  # float[r, 2], room centroids
-    wall: np.ndarray  # int[w, 2], the two planes of each wall; -1 marks a wall being removed
-
-
-def make_scene(config: SyntheticConfig, seed: int, index: int) -> SceneGraph:
-    """Draws one floor as a host graph; the same (config, seed, index) gives the same graph.
+def make_scene(config: SyntheticConfig | CityConfig, seed: int, index: int) -> SceneGraph:
+    """Draws one scene as a host graph; the same (config, seed, index) gives the same graph.
 
     Args:
-      config: what to draw, e.g. `S_F_SQUARE` or `S_F`.
+      config: what to draw, e.g. `S_F` or `S_C`.
       seed: names the data set.
       index: names the graph in it.
 
     Returns:
-      Planes, walls, rooms and one floor, in this order, with part-of edges only; float64, z = 0.
+      Planes, walls, rooms, floors, buildings and city, in this order, float64. A floor ends at its
+      floor node, lies at z = 0 and has part-of edges only; buildings and cities have the
+      proximity edges of the published S-C too: the 10 nearest planes of each plane before rooms
+      merge, and pairs that share a room or a wall.
     """
     rng = np.random.default_rng([seed, index])
+    if isinstance(config, SyntheticConfig):
+        return _draw_floor(config, rng)
+    return _draw_city(config, rng)
+
+
+def _draw_floor(config: SyntheticConfig, rng: np.random.Generator) -> SceneGraph:
+    """Draws a floor whose rooms merge before it turns."""
     plan = draw_plan(config, rng)
     if config.merge_ratio:
-        plan = merge_rooms(plan, config.merge_ratio, config.stale_width, rng)
-    if config.rotate:
-        plan = rotate(plan, rng.uniform(0, 2 * np.pi))
-    return floor_graph(plan)
+        plan = without_removed(merge_rooms(plan, config.merge_ratio, config.stale_width, rng))
+    plan = _turned(plan, config, rng)
+    return city_graph([Building((storey_of(plan),), (0.0,))], FLOOR)
 
 
-def draw_plan(config: SyntheticConfig, rng: np.random.Generator) -> Plan:
-    """Draws a floor of rectangular rooms, with a wall between any two that share a side."""
-    first, size = pack_rooms(config, rng)
-    thickness = rng.uniform(*config.wall_thickness)
-    centre = config.cell * (first + (size - 1) / 2)
-    half = (config.cell * size - thickness / 2)[:, None] / 2
-    middle, reach = centre[:, None] + half * _OUTWARD, half * _LEFT
-    ends = np.stack([middle + reach, middle - reach], axis=2).reshape(-1, 2, 2)
-    return Plan(
-        ends=ends,
-        normal=np.tile(-_OUTWARD + 0.0, (len(centre), 1)),
-        width=_length(ends),
-        room=np.repeat(np.arange(len(centre)), _SIDES),
-        centre=centre,
-        wall=_shared_sides(first, size),
+def _turned(plan: Plan, config: SyntheticConfig, rng: np.random.Generator) -> Plan:
+    """Turns a plan about the origin by a uniform angle, if the settings say so."""
+    if not config.rotate:
+        return plan
+    return move_plan(plan, Motion(rng.uniform(0, 2 * np.pi), np.zeros(2), np.zeros(2)))
+
+
+def _draw_city(config: CityConfig, rng: np.random.Generator) -> SceneGraph:
+    """Draws buildings, joins their planes by proximity, then merges the rooms of each storey."""
+    buildings = _draw_buildings(config, rng)
+    ground = [0.0, *rng.uniform(-config.unevenness, config.unevenness, size=len(buildings) - 1)]
+    heights = [
+        z + config.storey_height * np.arange(len(plans))
+        for z, plans in zip(ground, buildings, strict=True)
+    ]
+    floor = config.floor
+    merged = [
+        [merge_rooms(plan, floor.merge_ratio, floor.stale_width, rng) for plan in plans]
+        for plans in buildings
+    ]
+    return city_graph(
+        [_building(*parts) for parts in zip(buildings, merged, heights, strict=True)],
+        config.top,
+        _proximity(buildings, merged, heights),
     )
 
 
-def pack_rooms(config: SyntheticConfig, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Fills a grid with rectangles, each at the free cell that is lowest in x, then in y.
+def _draw_buildings(config: CityConfig, rng: np.random.Generator) -> list[list[Plan]]:
+    """Draws the plans of each building, placed; the base building comes first."""
+    base = _turned(draw_plan(config.floor, rng), config.floor, rng)
+    buildings = [[base] * int(rng.integers(*config.storeys, endpoint=True))]
+    for _ in range(rng.integers(*config.extra_buildings, endpoint=True)):
+        plans = _draw_extra_building(config, rng)
+        motion = place(
+            _corners(plans),
+            about=_middle(plans),
+            placed=[_corners(others) for others in buildings],
+            centre=_middle(buildings[0]),
+            radius=config.radius,
+            rng=rng,
+        )
+        buildings.append([move_plan(plan, motion) for plan in plans])
+    return buildings
 
-    Returns:
-      First cell, int[r, 2], and number of cells, int[r, 2], of each room; holes are left out.
+
+def _draw_extra_building(config: CityConfig, rng: np.random.Generator) -> list[Plan]:
+    """Draws a ground floor and upper floors that fit in its box."""
+    num_storeys = rng.integers(*config.extra_storeys, endpoint=True)
+    plans = [draw_plan(config.floor, rng) for _ in range(num_storeys)]
+    upper = [fit_plan(plan, plans[0], config.floor.stale_width) for plan in plans[1:]]
+    return [plans[0], *upper]
+
+
+def _corners(plans: Sequence[Plan]) -> np.ndarray:
+    """Returns the end points of all planes of a building, float[n, 2]."""
+    return np.concatenate([plan.ends for plan in plans]).reshape(-1, 2)
+
+
+def _middle(plans: Sequence[Plan]) -> np.ndarray:
+    """Returns the mean xy of the floor nodes of a building, float[2]."""
+    return np.mean([plan.centre.mean(axis=0) for plan in plans], axis=0)
+
+
+def _building(plans: Sequence[Plan], merged: Sequence[Plan], heights: np.ndarray) -> Building:
+    """Returns a building of merged rooms whose floor nodes are where they were before."""
+    storeys = [
+        storey_of(without_removed(after))._replace(centre=before.centre.mean(axis=0))
+        for before, after in zip(plans, merged, strict=True)
+    ]
+    return Building(tuple(storeys), tuple(heights.tolist()))
+
+
+def _proximity(
+    buildings: Sequence[Sequence[Plan]],
+    merged: Sequence[Sequence[Plan]],
+    heights: Sequence[np.ndarray],
+) -> np.ndarray:
+    """Returns the proximity edges of a city, pairs of the planes that merging leaves, int[e, 2].
+
+    Source: the authors' graphs. Near planes are joined before rooms merge, and merging joins those
+    that come into one room or wall; in further buildings all planes of a room or wall are joined.
     """
-    low, high = config.room_cells
-    end, num_columns = (int(n) for n in rng.integers(*config.grid_cells, size=2, endpoint=True))
-    free_from = [0] * num_columns  # the first free x of each column y
-    rooms = []
-    while (x := min(free_from)) < end:
-        y = free_from.index(x)
-        y_end = next((k for k in range(y, num_columns) if free_from[k] > x), num_columns)
-        wanted = rng.integers(low, high, size=2, endpoint=True)
-        size_x, size_y = min(end - x, int(wanted[0])), min(y_end - y, int(wanted[1]))
-        free_from[y : y + size_y] = [x + size_x] * size_y
-        if min(size_x, size_y) >= low:
-            rooms.append((x, y, size_x, size_y))
-    table = np.array(rooms, int).reshape(-1, 4)
-    return table[:, :2], table[:, 2:]
-
-
-def _shared_sides(first: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Returns the pairs of facing planes, int[w, 2], in the order of their first common cell."""
-    last = first + size
-    start = np.maximum(first[:, None], first[None])  # of the overlap, [a, b, axis]
-    overlap = start < np.minimum(last[:, None], last[None])
-    touch = last[:, None] == first[None]
-    found = []
-    for axis in (0, 1):
-        a, b = np.nonzero(touch[..., axis] & overlap[..., 1 - axis])
-        cell = start[a, b]
-        cell[:, axis] -= 1
-        side = np.full(len(a), axis)
-        found.append(np.column_stack([cell, side, _SIDES * a + axis, _SIDES * b + axis + 2]))
-    table = np.concatenate(found)
-    return table[np.lexsort(table[:, 2::-1].T)][:, 3:]
-
-
-def merge_rooms(plan: Plan, ratio: float, stale_width: bool, rng: np.random.Generator) -> Plan:
-    """Merges pairs of neighbouring rectangles into L shapes.
-
-    Each wall is tried with probability `ratio`. Its rooms merge if exactly one of its two planes
-    has no other wall and both rooms are still rectangles. The plane without other walls goes; the
-    other one is shortened to what the removed room leaves of it; two planes on one line are fused.
-
-    Args:
-      plan: rectangular rooms.
-      ratio: probability.
-      stale_width: see `SyntheticConfig`.
-      rng: source of randomness.
-
-    Returns:
-      A plan whose rooms have 4, 6 or 7 planes. The centroid of a merged room is the mean centroid
-      of the eight planes before any is removed, as published.
-    """
-    num_walls = np.bincount(plan.wall.ravel(), minlength=len(plan.room))
-    free = np.bincount(plan.room, minlength=len(plan.centre)) == _SIDES
-    for index in np.flatnonzero(rng.random(len(plan.wall)) < ratio).tolist():
-        planes = plan.wall[index]
-        rooms = plan.room[planes]
-        alone = num_walls[planes] == 1
-        if alone[0] != alone[1] and free[rooms].all():
-            free[rooms] = False
-            removed, shortened = planes[np.argsort(~alone)].tolist()
-            first, second = rng.permutation(rooms).tolist()
-            plan = _cut(plan, index, shortened, removed)
-            plan = _fuse(plan, first, second, removed, stale_width)
-    return _without_removed(plan)
-
-
-def _cut(plan: Plan, wall: int, shortened: int, removed: int) -> Plan:
-    """Opens the wall between two rooms: one of its planes is shortened, the wall is removed.
-
-    The end nearest to the other room's planes moves to their projection nearest the other end.
-    """
-    ends, width, walls = plan.ends.copy(), plan.width.copy(), plan.wall.copy()
-    others = plan.ends[plan.room == plan.room[removed]].mean(axis=1)
-    start, along = ends[shortened, 0], ends[shortened, 1] - ends[shortened, 0]
-    fraction = np.clip((others - start) @ along / (along @ along), 0, 1)
-    if fraction.min() <= 1 - fraction.max():
-        ends[shortened, 0] = start + fraction.max() * along
-    else:
-        ends[shortened, 1] = start + fraction.min() * along
-    width[shortened] = _length(ends[shortened])
-    walls[wall] = -1
-    return plan._replace(ends=ends, width=width, wall=walls)
-
-
-def _fuse(plan: Plan, first: int, second: int, removed: int, stale_width: bool) -> Plan:
-    """Gives the planes of the second room to the first and fuses a pair that lies on one line."""
-    ends, width, wall = plan.ends.copy(), plan.width.copy(), plan.wall.copy()
-    room, centre = plan.room.copy(), plan.centre.copy()
-    of_first, of_second = np.flatnonzero(room == first), np.flatnonzero(room == second)
-    room[of_second] = first
-    room[removed] = -1
-    area = _area_between(ends[of_first], ends[of_second])
-    area[(of_first == removed)[:, None] | (of_second == removed)] = np.inf
-    i, j = np.unravel_index(np.argmin(area), area.shape)
-    if area[i, j] < _MAX_COLLINEAR_AREA:
-        kept, fused = of_first[i], of_second[j]
-        ends[kept] = _farthest_ends(ends[kept], ends[fused])
-        width[kept] = width[kept] if stale_width else _length(ends[kept])
-        wall[wall == fused] = kept
-        room[fused] = -1
-    centre[first] = ends[np.concatenate([of_first, of_second])].mean(axis=(0, 1))
-    return plan._replace(ends=ends, width=width, room=room, centre=centre, wall=wall)
-
-
-def _area_between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Returns float[a, b]: the greater area that segment a spans with an end of segment b."""
-    along = (one[:, 1] - one[:, 0])[:, None, None]
-    offset = other[None] - one[:, None, None, 0]
-    area = along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
-    return np.abs(area).max(axis=-1)
-
-
-def _farthest_ends(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Returns the end of each of two segments, float[2, 2], that lie farthest apart."""
-    distance = _length(np.stack(np.broadcast_arrays(one[:, None], other[None]), axis=-2))
-    i, j = np.unravel_index(np.argmax(distance), distance.shape)
-    return np.stack([one[i], other[j]])
-
-
-def _length(ends: np.ndarray) -> np.ndarray:
-    """Returns the length of segments, float[...], from float[..., 2, 2]."""
-    return np.asarray(np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1))
-
-
-def _without_removed(plan: Plan) -> Plan:
-    """Drops the planes and walls marked as removed and the rooms without planes."""
-    keep = plan.room >= 0
-    slot = np.cumsum(keep) - 1
-    rooms, room = np.unique(plan.room[keep], return_inverse=True)
-    return Plan(
-        ends=plan.ends[keep],
-        normal=plan.normal[keep],
-        width=plan.width[keep],
-        room=room,
-        centre=plan.centre[rooms],
-        wall=slot[plan.wall[plan.wall[:, 0] >= 0]],
+    plans = list(chain(*buildings))
+    adjacency = _nearest(
+        raised([plan.ends.mean(axis=1) for plan in plans], np.concatenate(heights))
     )
+    first = 0
+    for index, (before, after) in enumerate(zip(plans, chain(*merged), strict=True)):
+        own = slice(first, first := first + len(before.room))
+        in_base_building = index < len(buildings[0])
+        adjacency[own, own] |= _sharing(after) & ~(in_base_building & _sharing(before))
+    kept = np.concatenate([after.room for after in chain(*merged)]) >= 0
+    return np.argwhere(np.triu(adjacency[kept][:, kept], 1))
 
 
-def rotate(plan: Plan, angle: float) -> Plan:
-    """Turns a plan about the origin by an angle, radians."""
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return plan._replace(
-        ends=plan.ends @ turn, normal=plan.normal @ turn, centre=plan.centre @ turn
-    )
+def _nearest(position: np.ndarray) -> np.ndarray:
+    """Returns the symmetric adjacency, bool[p, p], of the union of 10-nearest-neighbour lists."""
+    squared = ((position[:, None] - position[None]) ** 2).sum(axis=-1)
+    np.fill_diagonal(squared, np.inf)
+    # A plane sorts itself last, so that at most ten others means all of them.
+    nearest = np.argsort(squared, axis=1, kind="stable")[:, : min(NEIGHBOURS, len(position) - 1)]
+    adjacency = np.zeros(squared.shape, bool)
+    np.put_along_axis(adjacency, nearest, True, axis=1)
+    return adjacency | adjacency.T
 
 
-def floor_graph(plan: Plan) -> SceneGraph:
-    """Turns a plan into a scene graph with one floor, the mean of its rooms, at z = 0."""
-    plane = plan.ends.mean(axis=1)
-    wall = plane[plan.wall].mean(axis=1)
-    floor = plan.centre.mean(axis=0, keepdims=True)
-    sizes = [len(plane), len(wall), len(plan.centre), 1]
-    _, first_wall, first_room, first_floor = np.cumsum([0, *sizes[:3]])
-    to_wall = np.column_stack([plan.wall.ravel(), np.repeat(np.arange(len(wall)), 2) + first_wall])
-    to_room = np.column_stack([np.arange(len(plane)), plan.room + first_room])
-    rooms = np.arange(first_room, first_floor)
-    to_floor = np.column_stack([rooms, np.full_like(rooms, first_floor)])
-    others = sum(sizes[1:])
-    return make_graph(
-        label=np.repeat([PLANE, WALL, ROOM, FLOOR], sizes),
-        position=np.pad(np.concatenate([plane, wall, plan.centre, floor]), [(0, 0), (0, 1)]),
-        normal=np.pad(plan.normal, [(0, others), (0, 1)]),
-        width=np.pad(plan.width, (0, others)),
-        part_of=np.concatenate([to_wall, to_room, to_floor]),
-    )
+def _sharing(plan: Plan) -> np.ndarray:
+    """Returns which planes, bool[p, p], share a room or a wall."""
+    sharing = plan.room[:, None] == plan.room
+    one, other = plan.wall[plan.wall[:, 0] >= 0].T
+    sharing[one, other] = sharing[other, one] = True
+    return sharing
