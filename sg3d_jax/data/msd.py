@@ -215,14 +215,14 @@ def _thing(row: Mapping[str | None, str | None], where: str) -> Thing | None:
 
 def _parse(thing: Thing) -> shapely.Geometry:
     """Returns the geometry of a row."""
+    held = f"{thing.where}: geom is {thing.geometry!r:.40}"
     try:
-        geometry = shapely.from_wkt(thing.geometry)
+        with np.errstate(invalid="ignore"):  # GEOS flags nan
+            geometry = shapely.from_wkt(thing.geometry)
     except shapely.GEOSException as error:
-        held = f"{thing.geometry!r:.40}"
-        raise ValueError(f"{thing.where}: geom is {held}, expected WKT") from error
+        raise ValueError(f"{held}, expected WKT") from error
     if not np.isfinite(shapely.get_coordinates(geometry)).all():
-        held = f"{thing.geometry!r:.40}"
-        raise ValueError(f"{thing.where}: geom is {held}, expected finite numbers")
+        raise ValueError(f"{held}, expected finite numbers")
     return geometry
 
 

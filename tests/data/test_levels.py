@@ -24,7 +24,7 @@ from sg3d_jax.scene.validate import validate_graph
 def row_of_rooms(num_rooms, depth):
     """A floor of rectangles side by side, each with a wall to the next."""
     corners = [[0, 0], [3, 0], [3, depth], [0, depth]]
-    return storey_of_rooms([np.array(corners) + [3.2 * room, 0] for room in range(num_rooms)])
+    return storey_of_rooms([corners + np.array([3.2 * room, 0]) for room in range(num_rooms)])
 
 
 # Twelve buildings of one to three storeys; one floor is too large for a city, one for any stack.
