@@ -7,41 +7,21 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from sg3d_jax.scene.concepts import CITY, CONCEPTS, FLOOR, PLANE, ROOM, WALL
+from sg3d_jax.scene.concepts import CITY, FLOOR, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph
-from sg3d_jax.viz.figure import (
-    STYLES,
-    contact_sheet,
-    draw_graph,
-    lifted,
-    plane_segments,
-    project,
-    save_picture,
-)
+from sg3d_jax.viz.figure import contact_sheet, dataset_sheet, draw_graph, save_picture
+from sg3d_jax.viz.style import STYLES, lifted, plane_segments, project, view_of
+from tests.viz.small_city import one_room, small_city
 
 
-def one_room():
-    return make_graph(
-        [PLANE, PLANE, PLANE, ROOM, FLOOR],
-        [[0, 2, 1], [3, 0, 1], [0, -2, 1], [1, 0, 1], [1, 0, 1]],
-        [[0, -1, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]],
-        [6, 4, 5, 0, 0],
-        part_of=[[0, 3], [1, 3], [2, 3], [3, 4]],
-        proximity=[[0, 1], [1, 2], [0, 2]],
+@pytest.fixture
+def figures(monkeypatch):
+    """Returns the figures that are saved during a test."""
+    saved = []
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, path, **_: (saved.append(self), path.touch())
     )
-
-
-def test_planes_are_segments_across_their_normal():
-    segments = plane_segments(one_room())
-    npt.assert_allclose(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1), [6, 4, 5])
-    npt.assert_allclose(segments.mean(axis=1), one_room().nodes.position[:3])
-    npt.assert_allclose(sorted(segments[0, :, 0]), [-3, 3])
-    npt.assert_allclose(sorted(segments[1, :, 1]), [-2, 2])
-
-
-def test_levels_are_lifted_apart():
-    npt.assert_array_equal(lifted(one_room())[:, 2], [1, 1, 1, 3, 4])
-    assert [STYLES[concept].lift for concept in range(len(CONCEPTS))] == [0, 1, 2, 3, 4, 5]
+    return saved
 
 
 def test_the_graph_is_not_changed_by_drawing():
@@ -49,13 +29,6 @@ def test_the_graph_is_not_changed_by_drawing():
     before = graph.nodes.position.copy()
     draw_graph(graph)
     npt.assert_array_equal(graph.nodes.position, before)
-
-
-def test_up_is_up_and_lengths_seen_across_are_true():
-    npt.assert_allclose(project(np.array([0.0, 0.0, 1.0]))[0], 0, atol=1e-12)
-    assert project(np.array([0.0, 0.0, 1.0]))[1] > 0.5
-    axes = project(np.eye(3))
-    npt.assert_allclose(axes.T @ axes, np.eye(2), atol=1e-12)
 
 
 def test_part_of_edges_planes_and_nodes_are_drawn_in_their_colours():
@@ -73,14 +46,14 @@ def test_part_of_edges_planes_and_nodes_are_drawn_in_their_colours():
     }
 
 
-def test_everything_lies_inside_the_frame():
-    axes = draw_graph(one_room())
-    points = project(
-        np.concatenate([lifted(one_room()), plane_segments(one_room()).reshape(-1, 3)])
-    )
+@pytest.mark.parametrize("graph", [one_room(), small_city()], ids=["room", "city"])
+def test_everything_lies_inside_the_frame(graph):
+    axes = draw_graph(graph)
+    points = np.concatenate([lifted(graph), plane_segments(graph).reshape(-1, 3)])
+    seen = project(points, view_of(graph))
     low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
-    assert np.all(points >= low)
-    assert np.all(points <= high)
+    assert np.all(seen >= low[None])
+    assert np.all(seen <= high[None])
     assert axes.get_aspect() == 1
 
 
@@ -111,15 +84,36 @@ def test_no_window_is_opened(tmp_path):
     assert plt.get_fignums() == []
 
 
-def test_the_legend_names_what_occurs(tmp_path, monkeypatch):
-    figures = []
-    monkeypatch.setattr(
-        Figure, "savefig", lambda self, path, **_: (figures.append(self), path.touch())
-    )
+def test_the_legend_names_what_occurs(tmp_path, figures):
     contact_sheet([("true", [one_room()] * 2), ("generated", [one_room()])], tmp_path / "a.png")
     (legend,) = figures[0].legends
     assert [text.get_text() for text in legend.get_texts()] == ["plane", "room", "floor"]
     assert [axes.get_ylabel() for axes in figures[0].axes] == ["true", "", "generated"]
+    assert [axes.get_title() for axes in figures[0].axes] == ["", "", ""]
+
+
+def test_a_sheet_of_a_data_set_captions_each_graph_in_reading_order(tmp_path, figures):
+    graphs = [one_room(), small_city(), one_room()]
+    dataset_sheet(graphs, tmp_path / "a.png", first=7, columns=2)
+    (figure,) = figures
+    captions = [axes.get_title() for axes in figure.axes]
+    assert captions == ["7: |V| = 5", "8: |V| = 27", "9: |V| = 5"]
+    places = [axes.get_subplotspec() for axes in figure.axes]
+    assert [(place.rowspan[0], place.colspan[0]) for place in places] == [(0, 0), (0, 1), (1, 0)]
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == 5
+
+
+def test_captions_of_a_row_align_and_every_graph_stays_inside_its_cell(tmp_path, figures):
+    dataset_sheet([one_room(), small_city()], tmp_path / "a.png")
+    (figure,) = figures
+    figure.draw_without_rendering()
+    first, second = (axes.title.get_window_extent() for axes in figure.axes)
+    assert first.y0 == pytest.approx(second.y0)
+    for axes in figure.axes:
+        low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
+        assert np.all(axes.dataLim.min >= low)
+        assert np.all(axes.dataLim.max <= high)
 
 
 def test_what_cannot_be_drawn_or_written_is_refused(tmp_path):
@@ -127,4 +121,6 @@ def test_what_cannot_be_drawn_or_written_is_refused(tmp_path):
         save_picture(one_room(), tmp_path / "a.txt")
     with pytest.raises(ValueError, match="there are no graphs"):
         contact_sheet([("true", [])], tmp_path / "a.png")
+    with pytest.raises(ValueError, match="there are no graphs"):
+        dataset_sheet([], tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
