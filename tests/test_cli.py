@@ -208,10 +208,10 @@ def in_millimetres(scene):
         ("a.json", "{", "not JSON at line 1 column 2"),
         ("a.json", "", "not JSON at line 1 column 1"),
         ("a.json", changed(height=2.5), "has 'height', expected exactly centroid, normal, width"),
-        ("a.jsonl", json.dumps(SCENES[0]) + "\n{}\n", "line 2: the scene lacks 'planes'"),
+        ("a.jsonl", json.dumps(SCENES[0]) + "\n{}\n", "line 2: the document has no key"),
         ("a.csv", as_csv(SCENES[0]).replace("cx", "x"), "unknown column 'x'"),
         ("a.csv", as_csv(SCENES[0]).replace("width", "width,label"), "unknown column 'label'"),
-        ("a.txt", "", "the name ends in '.txt', expected .json, .jsonl or .csv"),
+        ("a.txt", "", "the name ends in '.txt', expected one of .json, .jsonl"),
     ],
 )
 def test_bad_planes_are_refused(weights, capsys, name, content, sentence):
@@ -243,7 +243,10 @@ def test_other_bad_input_to_complete_is_refused(weights, capsys, tmp_path):
         ((*sound, "-o", "graph"), "graph: the name ends in '', expected .json or .jsonl"),
         ((*sound, "--picture", "nowhere/a.png"), "nowhere/a.png: cannot be written"),
         ((*sound, "--picture", "a.bmp"), "a.bmp: the name ends in '.bmp', expected .png or .pdf"),
-        ((*sound, "--samples", 2), "graph.json: a .json file holds one graph, expected the name"),
+        (
+            (*sound, "--samples", 2),
+            "graph.json: holds one graph, expected the name of a .jsonl file",
+        ),
         (("complete", "a.jsonl", *sound[2:]), "of a .jsonl file for 3 graphs"),
     ):
         assert sentence in refusal(capsys, *arguments)
@@ -307,7 +310,10 @@ def test_walls_may_be_exported_as_metadata():
 def test_bad_input_to_export_is_refused(capsys):
     scene = write("a.json", SCENES[0])
     for arguments, sentence in (
-        (("s-f", "-o", "b.json"), "b.json: the file holds one graph, expected --index"),
+        (
+            ("s-f", "-o", "b.json"),
+            "b.json: holds one graph, expected the name of a .jsonl file for 3000",
+        ),
         ((scene, "-o", "b.npz"), "b.npz: the name ends in '.npz', expected .json or .jsonl"),
         ((scene, "-o", "b.json", "--index", 1), "a.json: --index must be in 0..0, got 1"),
         ((scene, "-o", "b.json", "--walls", "metadata"), "--walls metadata is for --to spark-dsg"),

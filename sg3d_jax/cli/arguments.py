@@ -19,9 +19,8 @@ def read(source: str, index: int | None = None, count: int | None = None) -> lis
     from sg3d_jax.data import registry
     from sg3d_jax.data.formats import read_graphs
 
-    if source in registry.DATASETS:
-        chosen = count if index is None else index + 1
-        graphs = registry.make(source, chosen)
+    if registry.is_name(source):
+        graphs = registry.make(source, count if index is None else index + 1)
     else:
         graphs = read_graphs(source)[: None if index is not None else count]
     if index is None:

@@ -59,9 +59,14 @@ def import_(name: Positional[str], source: Positional[Path], output: Output, see
 
     check_at_least("--seed", seed, 0)
     check_output(output, (".npz",))
-    dataset = registry.import_file(name, source, seed)
-    schema.save(output, dataset.graphs, dataset.header)
-    print(f"{output}: {len(dataset.graphs)} graphs")
+    graphs, header = registry.import_file(name, source, seed)
+    schema.save(output, graphs, header)
+    print(f"{output}: {len(graphs)} graphs")
+    left_out = header.get("left_out", [])
+    for reason in left_out[:3]:
+        print(f"{output}: left out {reason}")
+    if len(left_out) > 3:
+        print(f"{output}: left out {len(left_out)} floors in all")
 
 
 @app.command

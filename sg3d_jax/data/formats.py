@@ -15,7 +15,7 @@ planes (`interop.planes`; a .csv file, or {"planes": [...]}) and planes as S-Gra
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final
 
 from sg3d_jax.data import published, schema
 from sg3d_jax.interop.files import read_documents, write_document, write_documents
@@ -28,10 +28,9 @@ from sg3d_jax.interop.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg
 from sg3d_jax.scene.graph import SceneGraph, planes_of
 from sg3d_jax.scene.validate import validate_graph, validate_planes
 
-Format = Literal["json", "networkx", "spark-dsg", "graphml", "npz"]
-FORMATS: Final[tuple[Format, ...]] = get_args(Format)
+FORMATS: Final = ("json", "networkx", "spark-dsg", "graphml", "npz")
 DOCUMENTS: Final = (".json", ".jsonl")
-PICKLES: Final = (".zip", ".pkl", ".pickle")
+PICKLES: Final = (".zip", *published.SUFFIXES)
 READABLE: Final = (*DOCUMENTS, ".npz", ".graphml", ".csv", *PICKLES)
 
 # A key that tells what a JSON document is, and how it is read; the first that fits.
@@ -90,7 +89,7 @@ def read_planes(path: str | Path) -> list[SceneGraph]:
 def write_graphs(
     path: str | Path,
     graphs: Sequence[SceneGraph],
-    to: Format = "json",
+    to: str = "json",
     extras: Sequence[Mapping[str, Any]] | None = None,
     **options: Any,
 ) -> None:
@@ -99,7 +98,7 @@ def write_graphs(
     Args:
       path: the file to write; its suffix is one of those that the format has.
       graphs: unpadded, metres.
-      to: the format.
+      to: one of `FORMATS`.
       extras: what else the JSON document of each graph should say, such as `halt_reason`; readers
         ignore it. For formats that are JSON.
       **options: of `graph_to_spark_dsg`.
@@ -143,8 +142,8 @@ def check_writable(path: str | Path, num_graphs: int, to: str) -> None:
             f"{path}: the name ends in {suffix!r}, expected {' or '.join(expected)} for {to}"
         )
     if num_graphs != 1 and suffix in (".json", ".graphml"):
-        advice = "--index to choose one" + (" or a .jsonl file" if suffix == ".json" else "")
-        raise ValueError(f"{path}: the file holds one graph, expected {advice} of {num_graphs}")
+        instead = "the name of a .jsonl file" if suffix == ".json" else "one of them"
+        raise ValueError(f"{path}: holds one graph, expected {instead} for {num_graphs} graphs")
 
 
 def _graph(document: Any, where: str) -> SceneGraph:

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 from sg3d_jax.data import schema, synthetic
 from sg3d_jax.data.schema import Dataset
-from sg3d_jax.data.synthetic import SyntheticConfig
+from sg3d_jax.data.synthetic import CityConfig, SyntheticConfig
 from sg3d_jax.scene.concepts import BUILDING, CITY, CONCEPTS, FLOOR
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.validate import validate_graph
@@ -49,7 +49,7 @@ class DatasetSpec:
     provenance: str
     split: str
     paper: PaperRow | None = None
-    config: SyntheticConfig | None = None
+    config: SyntheticConfig | CityConfig | None = None
 
     @property
     def levels(self) -> tuple[str, ...]:
@@ -87,6 +87,11 @@ DATASETS: Final[Mapping[str, DatasetSpec]] = MappingProxyType(
         "s-f": DatasetSpec(
             "S-F", FLOOR, 3000, _SYNTHETIC, _SEEDED, PaperRow(3000, 30, 143, 9.3), synthetic.S_F
         ),
+        "s-b": DatasetSpec("S-B", BUILDING, 3000, _OURS, _SEEDED, config=synthetic.S_B),
+        "s-c": DatasetSpec(
+            "S-C", CITY, 3000, _SYNTHETIC, _SEEDED, PaperRow(3000, 110, 518, 9.5), synthetic.S_C
+        ),
+        "large": DatasetSpec("large", CITY, 300, _OURS, _SEEDED, config=synthetic.LARGE),
         "m-f": DatasetSpec("M-F", FLOOR, None, _MSD, _BY_SOURCE, PaperRow(3400, 95, 565, 11.8)),
         "m-b": DatasetSpec("M-B", BUILDING, None, _MSD, _BY_SOURCE, PaperRow(2416, 159, 929, 11.6)),
         "m-c": DatasetSpec("M-C", CITY, None, _MSD, _BY_SOURCE, PaperRow(1084, 223, 1303, 11.7)),
@@ -113,6 +118,12 @@ def get(name: str) -> DatasetSpec:
         hint = f"; did you mean {close[0]!r}?" if close else ""
         raise ValueError(f"unknown data set {name!r}, expected one of {', '.join(DATASETS)}{hint}")
     return DATASETS[name]
+
+
+def is_name(name_or_path: str) -> bool:
+    """Returns whether a text is meant as the name of a data set, known or not, not as a path."""
+    path = Path(name_or_path)
+    return name_or_path in DATASETS or not (path.suffix or path.exists())
 
 
 def make(name: str, num_graphs: int | None = None, seed: int = 0) -> list[SceneGraph]:
@@ -166,25 +177,25 @@ def import_file(name: str, path: str | Path, seed: int = 0) -> Dataset:
 
     Returns:
       Graphs and header, for `schema.save`. The header states the part of each graph where floors
-      of one building occur in several graphs, and for sets that are only for test.
+      of one building occur in several graphs, and for sets that are only for test; what each was
+      made from (`origins`); and why floors of the file are not among them (`left_out`).
 
     Raises:
       ValueError: unknown name, or a file that does not hold such graphs.
     """
-    from sg3d_jax.data import floorplan, formats, msd  # shapely and networkx take a while
+    from sg3d_jax.data import floorplan, formats, levels, msd  # they bring shapely and networkx
 
     spec, path = get(name), Path(path)
     about: dict[str, Any] = {"name": name, "source": spec.provenance, "file": path.name}
-    if name.startswith("p-"):
-        imported = floorplan.import_plans(path, spec.top, seed)
-    elif name.startswith("m-") and path.suffix.lower() == ".csv":
-        imported = msd.import_release(path, spec.top, seed)
-    else:
+    is_release = name.startswith("m-") and path.suffix.lower() == ".csv"
+    if not (is_release or name.startswith("p-")):
         graphs = formats.read_graphs(path)
         parts = {"parts": ["test"] * len(graphs)} if name.startswith("r-") else {}
         return _checked(spec, Dataset(graphs, about | parts), path)
-    stated = {"seed": seed, "parts": imported.parts, "origins": imported.origins}
-    return _checked(spec, Dataset(imported.graphs, about | stated), path)
+    floors, left_out = (msd if is_release else floorplan).read_floors(path)
+    graphs, parts, origins = levels.LEVELS[CONCEPTS[spec.top]](floors, seed, rotate=not is_release)
+    stated = {"seed": seed, "parts": parts, "origins": origins, "left_out": left_out}
+    return _checked(spec, Dataset(graphs, about | stated), path)
 
 
 def _checked(spec: DatasetSpec, dataset: Dataset, path: Path) -> Dataset:
@@ -210,7 +221,7 @@ def load(name_or_path: str | Path, num_graphs: int | None = None, seed: int = 0)
       ValueError: neither a name nor a sound file.
     """
     name, path = str(name_or_path), Path(name_or_path)
-    if name in DATASETS or not (path.suffix or path.exists()):
+    if is_name(name):
         return Dataset(make(name, num_graphs, seed), header(name, seed))
     if path.suffix.lower() == ".npz":
         graphs, about = schema.load(path)

@@ -71,7 +71,8 @@ def split_of(header: Mapping[str, Any], num_graphs: int, seed: int = 0) -> Split
     Args:
       header: of the file (`schema.load`); `parts`, if there, names the part of every graph.
       num_graphs: size of the data set.
-      seed: of the permutation where the header states no parts.
+      seed: of the permutation, which gives the order in a part that the header states, too, so
+        that its first graphs are a fair sample of it.
 
     Raises:
       ValueError: parts are not one known name a graph, or there are too few graphs to split.
@@ -82,4 +83,5 @@ def split_of(header: Mapping[str, Any], num_graphs: int, seed: int = 0) -> Split
     named = isinstance(parts, list) and all(part in PARTS for part in parts)
     if not named or len(parts) != num_graphs:
         raise ValueError(f"header parts must name one of {', '.join(PARTS)} for each graph")
-    return Splits(*(np.flatnonzero(np.array(parts) == part) for part in PARTS))
+    order = np.random.default_rng(seed).permutation(num_graphs)
+    return Splits(*(order[np.array(parts)[order] == part] for part in PARTS))

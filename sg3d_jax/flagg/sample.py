@@ -30,7 +30,10 @@ from sg3d_jax.scene.proximity import connect_planes
 
 HALT_REASONS = ("RUNNING", "HALTED", "CAPACITY", "MAX_STEPS")
 RUNNING, HALTED, CAPACITY, MAX_STEPS = range(len(HALT_REASONS))
-BATCH = 32  # scenes grown together; a constant, so that there is one compilation a bucket
+# Scenes grown together: constant in a bucket, so that there is one compilation of each, and fewer
+# in a large one, where a single scene should not have to pay for many.
+BATCH = 32
+BATCH_NODES = 4096
 
 
 class Grown(NamedTuple):
@@ -106,6 +109,11 @@ def growth_capacity(num_planes: int) -> Capacity:
     return bucket(2 * num_planes + 6)
 
 
+def num_lanes(capacity: Capacity) -> int:
+    """Returns how many scenes of a bucket are grown together."""
+    return max(1, min(BATCH, BATCH_NODES // capacity.nodes))
+
+
 class Completion(NamedTuple):
     """A grown graph on the host."""
 
@@ -147,14 +155,15 @@ def complete(
 def _batches(
     jobs: Sequence[tuple[int, int]], num_planes: Sequence[int]
 ) -> Iterator[tuple[Capacity, list[tuple[int, int]]]]:
-    """Yields at most BATCH jobs of one bucket at a time; similar sizes need similar steps."""
+    """Yields as many jobs of one bucket as there are lanes; similar sizes need similar steps."""
     by_size = sorted(jobs, key=lambda job: num_planes[job[0]])
     for capacity, group in itertools.groupby(
         by_size, lambda job: growth_capacity(num_planes[job[0]])
     ):
         members = list(group)
-        for first in range(0, len(members), BATCH):
-            yield capacity, members[first : first + BATCH]
+        lanes = num_lanes(capacity)
+        for first in range(0, len(members), lanes):
+            yield capacity, members[first : first + lanes]
 
 
 def _complete_batch(
@@ -166,8 +175,8 @@ def _complete_batch(
     capacity: Capacity,
     max_steps: int,
 ) -> list[Completion]:
-    """Grows at most BATCH (scene, sample) pairs in one call; idle lanes repeat the last one."""
-    lanes = [*jobs, *[jobs[-1]] * (BATCH - len(jobs))]
+    """Grows (scene, sample) pairs of one bucket in one call; idle lanes repeat the last one."""
+    lanes = [*jobs, *[jobs[-1]] * (num_lanes(capacity) - len(jobs))]
     planes = [observed[scene] for scene, _ in lanes]
     centres = [centre_of_planes(graph) for graph in planes]
     centred = [_shift(graph, -centre) for graph, centre in zip(planes, centres, strict=True)]

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sg3d_jax.scene.concepts import PART_OF, PLANE
 from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph, undirected_edges
 
-NODE_CAPACITIES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
+NODE_CAPACITIES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
 EDGES_PER_NODE = 12  # proximity edges are about 12 a plane (both directions), part-of 2.5 a node
 
 

@@ -101,9 +101,9 @@ def test_a_broken_graph_is_not_written(graphs, to, tmp_path):
 @pytest.mark.parametrize(
     ("name", "to", "count", "sentence"),
     [
-        ("a.json", "json", 2, "holds one graph, expected --index to choose one or a .jsonl file"),
-        ("a.graphml", "graphml", 2, "holds one graph, expected --index to choose one of 2"),
-        ("a.json", "json", 0, "of 0"),
+        ("a.json", "json", 2, "a.json: holds one graph, expected the name of a .jsonl file for 2"),
+        ("a.graphml", "graphml", 2, "a.graphml: holds one graph, expected one of them"),
+        ("a.json", "json", 0, "for 0 graphs"),
         ("a.npz", "json", 1, "the name ends in '.npz', expected .json or .jsonl for json"),
         ("a.json", "npz", 1, "the name ends in '.json', expected .npz for npz"),
         ("a.json", "yaml", 1, "the format is 'yaml', expected one of json, networkx"),

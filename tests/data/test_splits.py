@@ -56,7 +56,14 @@ def test_groups_of_one_are_dealt_60_20_20():
 
 def test_a_file_that_states_its_parts_is_obeyed_whatever_the_seed():
     stated = split_of({"parts": ["test", "train", "test"]}, 3, seed=5)
-    assert [part.tolist() for part in stated] == [[1], [], [0, 2]]
+    assert [sorted(part.tolist()) for part in stated] == [[1], [], [0, 2]]
+
+
+def test_the_first_graphs_of_a_stated_part_are_a_sample_of_it():
+    parts = ["test"] * 100
+    first = split_of({"parts": parts}, 100, seed=5).test[:10]
+    assert first.max() > 50
+    np.testing.assert_array_equal(first, split_of({"parts": parts}, 100, seed=5).test[:10])
 
 
 def test_a_file_that_states_no_parts_is_dealt_by_the_seed():

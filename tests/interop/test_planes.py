@@ -1,4 +1,5 @@
 import json
+import re
 import warnings
 
 import numpy as np
@@ -137,8 +138,6 @@ def plane_with(**fields):
 @pytest.mark.parametrize(
     ("scene", "sentence"),
     [
-        ([], ": the scene is [], expected an object with planes"),
-        ({}, ": the scene lacks 'planes'"),
         (SCENE | {"units": "mm"}, ": the scene has 'units', expected exactly planes"),
         ({"planes": 3}, ": planes is no list"),
         ({"planes": []}, ": planes holds no planes"),
@@ -163,9 +162,16 @@ def test_a_broken_scene_is_refused(tmp_path, scene, sentence):
     assert ": line 2" + sentence in refusal(write(tmp_path, "a.jsonl", lines))
 
 
-@pytest.mark.parametrize("name", ["a.txt", "a", "a.json.gz"])
-def test_an_unknown_format_is_refused(tmp_path, name):
-    assert "expected .json, .jsonl or .csv" in refusal(write(tmp_path, name, "{}"))
+@pytest.mark.parametrize(
+    ("scene", "sentence"),
+    [
+        ([], "the scene is [], expected an object with planes"),
+        ({}, "the scene lacks 'planes'"),
+    ],
+)
+def test_a_document_without_planes_is_refused(scene, sentence):
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        planes_from_dict(scene, "here")
 
 
 @given(
