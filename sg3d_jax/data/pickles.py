@@ -4,7 +4,7 @@ A pickle is a program, and Python's own unpickler runs it. Restricted by `find_c
 what the pickle says to call, sizes its tables by numbers that the pickle declares, and overflows
 the C stack on a deeply nested key. Here nothing is called: what a pickle asks to be made is written
 down as an `Asked`, for whoever knows what it ought to hold, and a name that is not on the caller's
-list, or a word that does more than describe values, is refused.
+list, or a word that plain data do without, is refused.
 """
 
 import pickletools
@@ -243,7 +243,7 @@ def _ignore(_: _Machine, __: Any) -> None:
 
 def _refuse(name: str) -> _Word:
     def word(_: _Machine, __: Any) -> None:
-        raise _RefusedError(f"uses {name}, which does more than describe values")
+        raise _RefusedError(f"uses {name}, a word that plain data do without")
 
     return word
 
@@ -255,7 +255,7 @@ def _unknown(_: _Machine, __: Any) -> None:
 _MEANING: Final[Mapping[_Word, str]] = MappingProxyType(
     {
         _constant: "NONE BININT BININT1 BININT2 FLOAT BINFLOAT UNICODE SHORT_BINUNICODE BINUNICODE "
-        "BINUNICODE8 STRING BINSTRING SHORT_BINSTRING BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8",
+        "BINUNICODE8 BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8",
         _integer: "INT LONG LONG1 LONG4",
         _new(lambda: True): "NEWTRUE",
         _new(lambda: False): "NEWFALSE",

@@ -226,9 +226,9 @@ def _array(asked: Asked) -> Any:
         _, shape, dtype, by_column, raw = asked.state
     else:
         raise TypeError(f"{asked!r} is no array")
+    if len(shape) > 2 or min(shape, default=0) < 0 or math.prod(shape) > MAX_ITEMS:
+        raise ValueError(f"{asked!r} is larger than what is read")
     size = math.prod(shape)
-    if not 0 <= size <= MAX_ITEMS or len(shape) > 2 or min(shape, default=0) < 0:
-        raise ValueError(f"shape {shape}")
     order, letter = _layout(dtype)
     flat = list(struct.unpack(f"{order}{size}{letter}", _bytes(raw)))
     if len(shape) < 2:
@@ -239,18 +239,18 @@ def _array(asked: Asked) -> Any:
     return [flat[row * columns : (row + 1) * columns] for row in range(rows)]
 
 
-def _layout(dtype: Asked) -> tuple[str, str]:
+def _layout(dtype: Any) -> tuple[str, str]:
     """Returns byte order and letter by which `struct` knows a plain numeric dtype."""
-    if dtype.name != _DTYPE:
+    if not isinstance(dtype, Asked) or dtype.name != _DTYPE:
         raise TypeError(f"{dtype!r} is no dtype")
     return _ORDERS[dtype.state[1]], _LETTERS[dtype.arguments[0]]
 
 
-def _bytes(raw: Any) -> bytes:
-    """Returns bytes, which protocols 0 to 2 write as Latin-1 text or, if none, as a request."""
+def _bytes(raw: Any) -> Any:
+    """Returns bytes as they are, and the request as which protocols 0 to 2 write them, as bytes."""
     if isinstance(raw, Asked) and raw.name == _ENCODE:
         text, encoding = raw.arguments
-        if encoding != "latin1":
-            raise ValueError(f"encoding {encoding}")
+        if not isinstance(text, str) or encoding != "latin1":
+            raise TypeError(f"{raw!r} is no bytes")
         return text.encode("latin1")
     return raw

@@ -136,12 +136,12 @@ def graph_from_attributes(
             raise ValueError(f"{where}: a node has id {_text(name)}, expected a number or a name")
         if row_of_id.setdefault(name, len(rows)) != len(rows):
             raise ValueError(f"{where}: node {_text(name)} is there twice, expected unique ids")
-        rows.append(_row(attributes, f"{where}: node {name!r:.40}"))
+        rows.append(_row(attributes, f"{where}: node {_plain(name)!r:.40}"))
     label, position, normal, width = zip(*rows, strict=True) if rows else ((), (), (), ())
     pairs: tuple[list[list[int]], ...] = tuple([] for _ in RELATIONS)
     for source, target, attributes in edges:
         ends = [_end(row_of_id, end, where) for end in (source, target)]
-        edge = f"{where}: edge ({source!r:.40}, {target!r:.40})"
+        edge = f"{where}: edge ({_plain(source)!r:.40}, {_plain(target)!r:.40})"
         pairs[_relation(attributes, [label[end] for end in ends], edge)].append(ends)
     graph = make_graph(
         label,
@@ -192,10 +192,11 @@ def _objects(
 def _row(attributes: Mapping[str, Any], where: str) -> tuple[int, list[float], list[float], float]:
     """Returns label, position, normal and width of a node."""
     ours = "concept" in attributes
-    concept = _get(attributes, "concept" if ours else "type", where)
+    field, names = "concept" if ours else "type", ", ".join(CONCEPTS)
+    if field not in attributes:
+        raise ValueError(f"{where} lacks both 'concept' and 'type', expected one of {names}")
+    concept = attributes[field]
     if not isinstance(concept, str) or concept not in LABELS:
-        names = ", ".join(CONCEPTS)
-        field = "concept" if ours else "type"
         raise ValueError(f"{where}: {field} is {_text(concept)}, expected one of {names}")
     position = _vector(attributes, "pos" if ours else "center", where)
     if LABELS[concept] == PLANE:
