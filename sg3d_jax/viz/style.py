@@ -69,13 +69,13 @@ def plane_segments(graph: SceneGraph) -> np.ndarray:
 
 def view_of(graph: SceneGraph) -> float:
     """Returns the azimuth from which a host graph is seen, radians: its buildings side by side."""
-    buildings = np.asarray(graph.nodes.position)[np.asarray(graph.nodes.label) == BUILDING, :2]
+    buildings = np.asarray(graph.nodes.position)[np.asarray(graph.nodes.label) == BUILDING]
     if len(buildings) < 2:
         return float(AZIMUTH)
-    x, y = np.linalg.svd(buildings - buildings.mean(axis=0, keepdims=True))[2][0]
-    across = np.arctan2(y, x) - np.pi / 2
-    turns = np.round((AZIMUTH - across) / np.pi)  # of the two sides, the one nearer to AZIMUTH
-    return float(across + np.pi * turns)
+    turns = np.radians(np.arange(-90.0, 90.0))
+    views = AZIMUTH + turns[np.argsort(np.abs(turns), kind="stable")]  # the usual one, if as good
+    across = np.stack([np.sort(project(buildings, view)[:, 0]) for view in views])
+    return float(views[np.argmax(np.diff(across, axis=1).min(axis=1))])
 
 
 def project(points: np.ndarray, azimuth: float = AZIMUTH) -> np.ndarray:

@@ -1,7 +1,7 @@
 import numpy as np
 import numpy.testing as npt
 
-from sg3d_jax.scene.concepts import CONCEPTS, PLANE
+from sg3d_jax.scene.concepts import BUILDING, CONCEPTS, PLANE
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.validate import validate_graph
 from sg3d_jax.viz.style import (
@@ -107,11 +107,18 @@ def test_up_is_up_and_lengths_seen_across_are_true():
 
 def test_two_buildings_are_seen_side_by_side():
     graph = small_city()
-    floors = graph.nodes.position[BUILDINGS]
-    seen = project(floors - [[0, 0, 1]] * floors[:, 2:], view_of(graph))
-    npt.assert_allclose(seen[0, 1], seen[1, 1], atol=1e-9)
+    first, second = graph.nodes.position[BUILDINGS, :2]
+    across = project(graph.nodes.position[BUILDINGS], view_of(graph))[:, 0]
+    npt.assert_allclose(abs(across[0] - across[1]), np.linalg.norm(first - second), rtol=1e-3)
     assert abs(view_of(graph) - AZIMUTH) <= np.pi / 2
     assert view_of(one_room()) == AZIMUTH
+
+
+def test_of_several_buildings_none_hides_another():
+    corners = [[0, 0, 5], [20, 0, 5], [0, 20, 5], [20, 20, 5]]
+    graph = make_graph([BUILDING] * 4, corners, np.zeros((4, 3)), np.zeros(4), [])
+    across = np.sort(project(np.array(corners), view_of(graph))[:, 0])
+    assert np.diff(across).min() > 8
 
 
 def test_only_the_dots_of_large_graphs_shrink():
