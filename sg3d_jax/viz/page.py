@@ -21,6 +21,7 @@ from sg3d_jax.viz.style import (
     EDGE_COLOUR,
     STYLES,
     crowding,
+    drawn_metre,
     lifted,
     plane_segments,
     project,
@@ -30,9 +31,9 @@ from sg3d_jax.viz.style import (
 PROXIMITY_COLOUR: Final = "#b794f4"
 EDGE_WIDTH: Final = 2.0  # pixels
 DOT_SCALE: Final = 1.4  # pixels of a dot here, a point of its diameter in a picture
-STRIP_HEIGHT: Final = 0.5  # metres; a plane is drawn as a strip around its centroid
+STRIP_HEIGHT: Final = 0.5  # drawn metres; a plane is drawn as a strip around its centroid
 STRIP_OPACITY: Final = 0.35
-NORMAL_LENGTH: Final = 0.3  # metres
+NORMAL_LENGTH: Final = 0.3  # drawn metres
 FILL: Final = 1.5  # plotly's units, the height of a scene that just fits its window
 WIDE: Final = 1.6  # width of a window, in heights
 DISTANCE: Final = 2.0  # of the camera, in sizes of the scene; without effect on what is seen
@@ -182,11 +183,12 @@ def _counts(graph: SceneGraph) -> str:
 
 def _planes(graph: SceneGraph) -> list[dict[str, Any]]:
     """Returns the strips of the planes, and a line along each with its normal."""
-    ends, middle = plane_segments(graph), plane_segments(graph).mean(axis=1)
+    ends, metre = plane_segments(graph), drawn_metre(graph)
+    middle = ends.mean(axis=1)
     rows = np.flatnonzero(np.asarray(graph.nodes.label) == PLANE)
     normal = np.asarray(graph.nodes.normal)[rows]
-    normals = np.stack([middle, middle + NORMAL_LENGTH * normal], axis=1)
-    up = np.array([[[0.0, 0.0, STRIP_HEIGHT / 2]]])
+    normals = np.stack([middle, middle + NORMAL_LENGTH * metre * normal], axis=1)
+    up = np.array([[[0.0, 0.0, STRIP_HEIGHT * metre / 2]]])
     corners = np.concatenate([ends - up, ends + up], axis=1).reshape(-1, 3)
     first = 4 * np.arange(len(ends))[:, None]
     triangles = np.concatenate([first + np.array([[0, 1, 2]]), first + np.array([[1, 3, 2]])])

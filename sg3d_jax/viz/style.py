@@ -47,14 +47,17 @@ SAME_STOREY: Final = 1.0  # metres; floors closer in z lie side by side
 
 def lifted(graph: SceneGraph) -> np.ndarray:
     """Returns where the nodes of a host graph are drawn, float64[n, 3], metres."""
-    label = np.asarray(graph.nodes.label)
+    label, length = np.asarray(graph.nodes.label), _largest_floor(graph)
     lifts = np.array([STYLES[concept].lift for concept in range(len(CONCEPTS))])
     points = np.array(graph.nodes.position, np.float64)
-    floor = floor_of(graph)
-    length = _largest_floor(points[:, :2], np.where(label == PLANE, floor, -1))
-    points[:, 2] += lifts[label] * max(1.0, length / LARGE_FLOOR)
-    points[:, 2] += _storey(graph, floor) * length * STOREY_GAP
+    points[:, 2] += lifts[label] * drawn_metre(graph)
+    points[:, 2] += _storey(graph) * length * STOREY_GAP
     return points
+
+
+def drawn_metre(graph: SceneGraph) -> float:
+    """Returns how long a metre of lift is drawn, metres: longer if floors are large."""
+    return max(1.0, _largest_floor(graph) / LARGE_FLOOR)
 
 
 def plane_segments(graph: SceneGraph) -> np.ndarray:
@@ -115,10 +118,10 @@ def floor_of(graph: SceneGraph) -> np.ndarray:
     return found
 
 
-def _storey(graph: SceneGraph, floor: np.ndarray) -> np.ndarray:
+def _storey(graph: SceneGraph) -> np.ndarray:
     """Returns the storey of each node, int[n]; buildings and cities have that of their top."""
     label, height = np.asarray(graph.nodes.label), np.asarray(graph.nodes.position)[:, 2]
-    parent = np.full(len(label), -1)
+    floor, parent = floor_of(graph), np.full(len(label), -1)
     buildings, children = _pairs(graph, BUILDING, FLOOR)
     parent[children] = buildings
     floors = np.flatnonzero(label == FLOOR)
@@ -133,8 +136,10 @@ def _storey(graph: SceneGraph, floor: np.ndarray) -> np.ndarray:
     return storey
 
 
-def _largest_floor(points: np.ndarray, floor: np.ndarray) -> float:
-    """Returns the longest side of a floor in x or y, metres; 0 if there is no floor."""
+def _largest_floor(graph: SceneGraph) -> float:
+    """Returns the longest extent in x or y of the planes of a floor, metres; 0 without floors."""
+    planes = np.asarray(graph.nodes.label) == PLANE
+    points, floor = np.asarray(graph.nodes.position)[planes, :2], floor_of(graph)[planes]
     extents = [np.ptp(points[floor == row], axis=0).max() for row in np.unique(floor[floor >= 0])]
     return float(max(extents, default=0.0))
 
