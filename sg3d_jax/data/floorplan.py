@@ -17,7 +17,7 @@ import gzip
 import json
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -32,6 +32,7 @@ from sg3d_jax.interop.files import number, read_text
 
 MIN_PIECE: Final = 0.9  # of a room's area that must stay in one piece when it is repaired
 TOUCHING: Final = 0.01  # metres: rooms closer than this are drawn without a wall between them
+NEGLIGIBLE_LENGTH: Final = 1e-9  # metres: a corner so near to the next one repeats it
 NEGLIGIBLE_AREA: Final = 1e-6  # square metres: rooms that share an edge overlap by rounding
 MITRE_LIMIT: Final = 10.0  # corners sharper than about 11 degrees are cut off when inset
 MIN_SIDES: Final = 3
@@ -48,9 +49,12 @@ class FloorplanConfig:
       max_angle: greatest angle between them, degrees; hand-drawn plans are a little askew.
       min_overlap: least length along the wall over which they face each other, metres.
       strip_tolerance: walls behind one plane whose thickness differs by less are one, metres.
-      inset: by so much every room of a plan shrinks, if rooms of the plan touch, metres: half the
-        thickness of a wall that was drawn as a line.
+      inset: by so much a room shrinks that touches another one, metres: half the thickness of a
+        wall that was drawn as a line.
       flatness: a corner that stands out by less is no corner, metres.
+
+    Raises:
+      ValueError: one of them is negative.
     """
 
     max_thickness: float = 0.4
@@ -59,6 +63,15 @@ class FloorplanConfig:
     strip_tolerance: float = 0.05
     inset: float = 0.06
     flatness: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuses settings that nothing can be measured with."""
+        for name, value in asdict(self).items():
+            if not value >= 0:
+                raise ValueError(f"{name} is {value:g}, expected zero or more")
+
+
+RULES: Final = FloorplanConfig()
 
 
 class Plan(NamedTuple):
@@ -98,7 +111,7 @@ def read_plans(path: str | Path) -> list[Plan]:
     return plans
 
 
-def read_floors(path: str | Path, config: FloorplanConfig | None = None) -> Floors:
+def read_floors(path: str | Path, config: FloorplanConfig = RULES) -> Floors:
     """Reads floors from a .jsonl or .jsonl.gz file and turns them into planes, walls and rooms.
 
     A floor drawn so that nobody could tell its rooms is left out, and a sentence says why.
@@ -120,17 +133,16 @@ def read_floors(path: str | Path, config: FloorplanConfig | None = None) -> Floo
     return Floors(floors, left_out)
 
 
-def storey_of_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig | None = None) -> Storey:
+def storey_of_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig = RULES) -> Storey:
     """Turns the rooms of one floor into planes, walls, rooms and the centre of the floor.
 
     Args:
       rooms: float[v, 2] each, corners in order of either sense, metres.
-      config: how.
+      config: how rooms become planes and walls.
 
     Raises:
       ValueError: the rooms make no floor; the sentence names the room.
     """
-    config = config or FloorplanConfig()
     shapes = tidy_rooms(rooms, config)
     sides = sides_of(shapes, config.flatness)
     wall, wall_centre = find_walls(sides, shapes, config)
@@ -170,22 +182,45 @@ def tidy_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig) -> np.ndarr
 
     Args:
       rooms: float[v, 2] each, metres.
-      config: how.
+      config: how rooms become planes and walls.
 
     Raises:
       ValueError: a room falls apart or vanishes, or there are too few.
     """
     if len(rooms) < MIN_ROOMS:
         raise ValueError(f"there are {len(rooms)} rooms, expected at least {MIN_ROOMS}")
-    drawn = shapely.polygons([shapely.linearrings(corners) for corners in rooms])
+    with np.errstate(divide="ignore", invalid="ignore"):  # GEOS leaves its flags set
+        shapes = _repaired(_polygons(rooms))
+        inset = shapely.buffer(shapes, -config.inset, join_style="mitre", mitre_limit=MITRE_LIMIT)
+        shapes = np.where(_touching(shapes), inset, shapes)
+        shapes = _greatest_pieces(shapes, f"is in places narrower than {2 * config.inset:g} m")
+        return shapely.simplify(shapely.normalize(shapes), config.flatness)
+
+
+def repaired_rooms(rooms: Sequence[np.ndarray]) -> np.ndarray:
+    """Returns which rooms of a plan cross themselves or cover others, bool[r].
+
+    Args:
+      rooms: float[v, 2] each, metres.
+
+    Raises:
+      ValueError: a room falls apart or vanishes.
+    """
+    drawn = _polygons(rooms)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lost = shapely.area(drawn) - shapely.area(_repaired(drawn))
+    return ~shapely.is_valid(drawn) | (lost > NEGLIGIBLE_AREA)
+
+
+def _polygons(rooms: Sequence[np.ndarray]) -> np.ndarray:
+    return shapely.polygons([shapely.linearrings(corners) for corners in rooms])
+
+
+def _repaired(drawn: np.ndarray) -> np.ndarray:
+    """Returns polygons that neither cross themselves nor cover each other."""
     valid = shapely.make_valid(drawn, method="structure", keep_collapsed=False)
     shapes = _greatest_pieces(valid, "crosses itself")
-    shapes = _greatest_pieces(_without_overlap(shapes), "is cut up by smaller rooms")
-    inset = shapely.buffer(shapes, -config.inset, join_style="mitre", mitre_limit=MITRE_LIMIT)
-    inset = _greatest_pieces(inset, f"is in places narrower than {2 * config.inset:g} m")
-    return shapely.simplify(
-        shapely.normalize(np.where(_touching(shapes), inset, shapes)), config.flatness
-    )
+    return _greatest_pieces(_without_overlap(shapes), "is cut up by smaller rooms")
 
 
 def _greatest_pieces(shapes: np.ndarray, problem: str) -> np.ndarray:
@@ -204,14 +239,15 @@ def _greatest_pieces(shapes: np.ndarray, problem: str) -> np.ndarray:
 
 def _without_overlap(shapes: np.ndarray) -> np.ndarray:
     """Cuts from each polygon what smaller ones cover."""
-    one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
-    common = shapely.area(shapely.intersection(shapes[one], shapes[other]))
     rank = np.empty(len(shapes), int)
     rank[np.argsort(shapely.area(shapes), kind="stable")] = np.arange(len(shapes))
-    gives_way = (rank[one] > rank[other]) & (common > NEGLIGIBLE_AREA)
+    great, small = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+    great, small = great[rank[great] > rank[small]], small[rank[great] > rank[small]]
+    common = shapely.area(shapely.intersection(shapes[great], shapes[small]))
+    great, small = great[common > NEGLIGIBLE_AREA], small[common > NEGLIGIBLE_AREA]
     shapes = shapes.copy()
-    for room in np.unique(one[gives_way]):
-        smaller = shapely.union_all(shapes[other[gives_way & (one == room)]])
+    for room in np.unique(great):
+        smaller = shapely.union_all(shapes[small[great == room]])
         shapes[room] = shapely.difference(shapes[room], smaller)
     return shapes
 
@@ -235,7 +271,7 @@ def sides_of(shapes: np.ndarray, flatness: float = 0.0) -> Sides:
     """
     rings, room = shapely.get_rings(shapely.orient_polygons(shapes), return_index=True)
     points, ring = shapely.get_coordinates(rings, return_index=True)
-    moved = (points[1:] != points[:-1]).any(axis=1)
+    moved = np.linalg.norm(np.diff(points, axis=0), axis=1) > NEGLIGIBLE_LENGTH
     opened = np.append(moved & (ring[1:] == ring[:-1]), False)  # the last repeats the first
     points, ring = points[opened], ring[opened]
     size = np.bincount(ring, minlength=len(rings))

@@ -6,9 +6,9 @@ level. The same seed gives the same parts at every level.
 
 Source: paper, Sec. "Datasets" (M-F, M-B, M-C), and the settings that the authors published: two
 identical storeys 4 m apart; a city adds one building of one or two identical storeys.
-Differs: their limits on size, 200 and 150 nodes, count openings and helper surfaces too; ours count
-the nodes of the floor's own graph. `MAX_NODES` of them are left of 200 and 150, as the means of the
-paper's table tell: 79 and 63 nodes a floor where all floors have 95.
+Differs: their limits on the size of a floor, 200 nodes for a building and 150 for a city, count
+doors, windows and helper surfaces; `MAX_NODES` counts the nodes of the floor's own graph. It was
+chosen from the paper's table: the limits bring the mean floor from 95 nodes to 79 and 63.
 """
 
 from collections.abc import Callable, Sequence

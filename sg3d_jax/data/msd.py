@@ -51,6 +51,7 @@ MAX_APARTMENTS: Final = 5000  # the floor that reaches so many is the last
 PASSAGE: Final = 0.04  # metres: rooms that are nearer have no wall between them
 PROBE: Final = 0.01  # metres before an edge of a wall, where a room is looked for
 MIN_PLANES: Final = 2  # of a wall
+MAX_COORDINATE: Final = 1e6  # metres; sites have their own origin
 
 
 class Thing(NamedTuple):
@@ -88,14 +89,18 @@ def read_floors(path: str | Path, max_apartments: int = MAX_APARTMENTS) -> Floor
     Raises:
       ValueError: the table is broken: one sentence that names the line and the column.
     """
+    drawn_in: dict[str, list[Thing]] = {name: [] for name in _chosen(path, max_apartments)}
+    for thing in _things(path):
+        if thing.apartment in drawn_in:
+            drawn_in[thing.apartment].append(thing)
     floors, left_out = [], []
-    for things in _single_storeys(path, max_apartments):
-        first = things[0]
-        origin = f"{first.floor}_{first.apartment}"
+    for apartment, things in drawn_in.items():
+        building, floor = things[0].building, things[0].floor
+        origin = f"{floor}_{apartment}"
         drawn = [_parse(thing) for thing in things]
         try:
             storey = storey_of_apartment(_sorted_shapes([t.kind for t in things], np.array(drawn)))
-            floors.append(Floor(first.building, origin, storey))
+            floors.append(Floor(building, origin, storey))
         except ValueError as error:
             left_out.append(f"{origin}: {error}")
     return Floors(floors, left_out)
@@ -160,21 +165,21 @@ def wall_planes(sides: Sides, shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([members[:, 0], anew]), used
 
 
-def _single_storeys(path: str | Path, max_apartments: int) -> Iterator[list[Thing]]:
-    """Yields what is drawn of each apartment of one storey, floor after floor."""
-    apartments: dict[str, list[Thing]] = {}
+def _chosen(path: str | Path, max_apartments: int) -> list[str]:
+    """Returns the apartments of one storey, floor after floor."""
+    floors_of: dict[str, set[str]] = {}
     for thing in _things(path):
-        apartments.setdefault(thing.apartment, []).append(thing)
-    by_floor: dict[str, list[list[Thing]]] = {}
-    for things in apartments.values():
-        if len({thing.floor for thing in things}) == 1:
-            by_floor.setdefault(things[0].floor, []).append(things)
-    count = 0
-    for on_floor in by_floor.values():
-        if count >= max_apartments:
-            return
-        count += len(on_floor)
-        yield from on_floor
+        floors_of.setdefault(thing.apartment, set()).add(thing.floor)
+    by_floor: dict[str, list[str]] = {}
+    for apartment, floors in floors_of.items():
+        if len(floors) == 1:
+            by_floor.setdefault(*floors, []).append(apartment)
+    chosen: list[str] = []
+    for apartments in by_floor.values():
+        if len(chosen) >= max_apartments:
+            break
+        chosen += apartments
+    return chosen
 
 
 def _things(path: str | Path) -> Iterator[Thing]:
@@ -217,12 +222,12 @@ def _parse(thing: Thing) -> shapely.Geometry:
     """Returns the geometry of a row."""
     held = f"{thing.where}: geom is {thing.geometry!r:.40}"
     try:
-        with np.errstate(invalid="ignore"):  # GEOS flags nan
+        with np.errstate(invalid="ignore", over="ignore"):  # GEOS leaves its flags set
             geometry = shapely.from_wkt(thing.geometry)
     except shapely.GEOSException as error:
         raise ValueError(f"{held}, expected WKT") from error
-    if not np.isfinite(shapely.get_coordinates(geometry)).all():
-        raise ValueError(f"{held}, expected finite numbers")
+    if not (np.abs(shapely.get_coordinates(geometry)) <= MAX_COORDINATE).all():  # false for nan
+        raise ValueError(f"{held}, expected metres within {MAX_COORDINATE:g}")
     return geometry
 
 

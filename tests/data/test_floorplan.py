@@ -16,6 +16,7 @@ from sg3d_jax.data.floorplan import (
     facing_pairs,
     read_floors,
     read_plans,
+    repaired_rooms,
     sides_of,
     storey_of_rooms,
     tidy_rooms,
@@ -137,6 +138,11 @@ def test_rooms_with_walls_between_them_stay_as_they_are_drawn():
     storey = storey_of_rooms([box(0, 0, 4, 3), box(4.2, 1, 8, 3)])
     assert sorted(storey.width) == pytest.approx([2, 2, 3, 3, 3.8, 3.8, 4, 4])
     np.testing.assert_allclose(storey.wall_centre, [[4.1, 2]])
+
+
+def test_a_narrow_room_with_walls_around_it_stays():
+    storey = storey_of_rooms([box(0, 0, 4, 3), box(4.2, 0, 4.3, 3)])
+    assert sorted(storey.width) == pytest.approx([0.1, 0.1, 3, 3, 3, 3, 4, 4])
 
 
 def test_a_corridor_and_three_offices_have_one_wall_of_four_planes():
@@ -273,6 +279,7 @@ def test_the_greater_of_two_rooms_that_overlap_gives_way():
     shapes = tidy_rooms([box(0, 0, 6, 4), box(5, 1, 8, 3)], CONFIG)
     assert shapely.distance(*shapes) == pytest.approx(0.12)
     np.testing.assert_allclose(shapely.area(shapes[1]), 2.88 * 1.88)
+    assert repaired_rooms([box(0, 0, 6, 4), box(5, 1, 8, 3)]).tolist() == [True, False]
 
 
 def test_a_room_around_another_one_has_planes_on_its_hole():
@@ -290,6 +297,7 @@ def test_a_room_that_crosses_itself_a_little_keeps_nearly_all():
     assert not shapely.Polygon(knot).is_valid
     storey = storey_of_rooms([knot, box(9, 0, 12, 3)])
     np.testing.assert_allclose(storey.room_centre[0], [2, 1.5], atol=0.1)
+    assert repaired_rooms([knot, box(9, 0, 12, 3)]).tolist() == [True, False]
 
 
 REFUSED = {
@@ -311,6 +319,17 @@ REFUSED = {
 def test_rooms_that_nobody_could_tell_are_refused(sentence):
     with pytest.raises(ValueError, match=sentence):
         storey_of_rooms(REFUSED[sentence])
+
+
+def test_a_plan_without_faults_stays_as_it_is_drawn():
+    assert not repaired_rooms(drawn_plan(0)).any()
+
+
+@pytest.mark.parametrize("field", ["max_thickness", "inset", "flatness"])
+@pytest.mark.parametrize("value", [-0.1, float("nan")])
+def test_rules_that_nothing_can_be_measured_with_are_refused(field, value):
+    with pytest.raises(ValueError, match=f"{field} is .*, expected zero or more"):
+        FloorplanConfig(**{field: value})
 
 
 # --- files ---
