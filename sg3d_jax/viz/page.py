@@ -29,7 +29,7 @@ from sg3d_jax.viz.style import (
 )
 
 PROXIMITY_COLOUR: Final = "#b794f4"
-EDGE_WIDTH: Final = 2.0  # pixels
+LINE_WIDTH: Final = 2.0  # pixels
 DOT_SCALE: Final = 1.4  # pixels of a dot here, a point of its diameter in a picture
 STRIP_HEIGHT: Final = 0.5  # drawn metres; a plane is drawn as a strip around its centroid
 STRIP_OPACITY: Final = 0.35
@@ -131,11 +131,13 @@ def graph_traces(
     """
     points, label = lifted(graph), np.asarray(graph.nodes.label)
     rows = [(concept, np.flatnonzero(label == concept)) for concept in concepts]
-    scale = DOT_SCALE * crowding(graph)
+    scale, thin = DOT_SCALE * crowding(graph), LINE_WIDTH * crowding(graph)
     part_of, proximity = (points[undirected_edges(graph, r)] for r in (PART_OF, PROXIMITY))
     return [
-        _lines("proximity", proximity, PROXIMITY_COLOUR, visible="legendonly", legendrank=1002),
-        _lines("part of", part_of, EDGE_COLOUR, legendrank=1001),
+        _lines(
+            "proximity", proximity, PROXIMITY_COLOUR, thin, visible="legendonly", legendrank=1002
+        ),
+        _lines("part of", part_of, EDGE_COLOUR, thin, legendrank=1001),
         *_planes(graph),
         *(_dots(concept, points[chosen], chosen, scale) for concept, chosen in rows),
     ]
@@ -209,6 +211,7 @@ def _planes(graph: SceneGraph) -> list[dict[str, Any]]:
         "plane lines",
         np.concatenate([ends, normals]),
         STYLES[PLANE].colour,
+        LINE_WIDTH,
         legendgroup=CONCEPTS[PLANE],
         showlegend=False,
         hoverinfo="text",
@@ -237,7 +240,9 @@ def _dots(concept: int, points: np.ndarray, rows: np.ndarray, scale: float) -> d
     }
 
 
-def _lines(name: str, ends: np.ndarray, colour: str, **options: Any) -> dict[str, Any]:
+def _lines(
+    name: str, ends: np.ndarray, colour: str, width: float, **options: Any
+) -> dict[str, Any]:
     """Returns one trace of separate lines, float[n, 2, 3]."""
     gaps = np.full((len(ends), 1, 3), np.nan)
     return {
@@ -247,7 +252,7 @@ def _lines(name: str, ends: np.ndarray, colour: str, **options: Any) -> dict[str
         "name": name,
         "mode": "lines",
         **_coordinates(np.concatenate([ends, gaps], axis=1).reshape(-1, 3)),
-        "line": {"color": colour, "width": EDGE_WIDTH},
+        "line": {"color": colour, "width": round(width, 2)},
         "hoverinfo": "skip",
     } | options
 
