@@ -79,13 +79,13 @@ class _RefusedError(Exception):
 
 
 class _Machine:
-    """The stack, where its marks are, and the memo: a mapping, for its keys may be any numbers."""
+    """The stack, where its marks are, and the memo of what is used again."""
 
     def __init__(self, admitted: Set[Name]) -> None:
         self.admitted = admitted
         self.stack: list[Any] = []
         self.marks: list[int] = []
-        self.memo: dict[int, Any] = {}
+        self.memo: list[Any] = []
 
     def pop(self, kind: type) -> Any:
         """Pops a value that has to be of one type."""
@@ -199,14 +199,18 @@ def _repeat(machine: _Machine, _: Any) -> None:
 
 
 def _remember(machine: _Machine, index: int) -> None:
-    machine.memo[index] = machine.stack[-1]
+    if index != len(machine.memo):  # picklers count; a number of their choice could be any size
+        raise IndexError(index)
+    machine.memo.append(machine.stack[-1])
 
 
 def _remember_next(machine: _Machine, _: Any) -> None:
-    machine.memo[len(machine.memo)] = machine.stack[-1]
+    machine.memo.append(machine.stack[-1])
 
 
 def _recall(machine: _Machine, index: int) -> None:
+    if index < 0:
+        raise IndexError(index)
     machine.stack.append(machine.memo[index])
 
 
@@ -239,6 +243,14 @@ def _state(machine: _Machine, _: Any) -> None:
 
 def _ignore(_: _Machine, __: Any) -> None:
     """A word that says nothing about values."""
+
+
+def _two_lines(stream: BytesIO) -> str:
+    """Returns what GLOBAL names; the reader of `pickletools` warns of a backslash in it."""
+    lines = [stream.readline() for _ in range(2)]
+    if not all(line.endswith(b"\n") for line in lines):
+        raise ValueError("a line has no end")
+    return " ".join(line[:-1].decode() for line in lines)
 
 
 def _refuse(name: str) -> _Word:
@@ -308,7 +320,7 @@ def _words() -> list[tuple[_Word, int, Callable[..., Any]]]:
             layout = struct.Struct(_FIXED[argument.name])
             words[code] = word, layout.size, layout.unpack_from
         else:
-            words[code] = word, -1, argument.reader
+            words[code] = word, -1, _two_lines if word is _name else argument.reader
     return words
 
 

@@ -38,36 +38,31 @@ FIELDS: Final = ("type", "center", "normal", "length", "limits")
 _GRAPH: Final = Name("networkx.classes.graph", "Graph")
 _DTYPE: Final = Name("numpy", "dtype")
 _ENCODE: Final = Name("_codecs", "encode")
-_VIEWS: Final = {
-    "networkx.classes.reportviews": ("NodeView", "EdgeView", "DegreeView"),
-    "networkx.classes.coreviews": ("AdjacencyView", "AtlasView"),
-}
-_ARRAYS: Final = {
-    f"numpy.{core}.{module}": names
-    for core in ("core", "_core")
-    for module, names in {
-        "multiarray": ("_reconstruct", "scalar"),
-        "numeric": ("_frombuffer",),
-    }.items()
-}
-# Polygons of M, which are not read; and what protocols 0 to 2 say for objects and bytes.
-_OTHERS: Final = {
-    "shapely.geometry.polygon": ("Polygon",),
-    "shapely.geometry.multipolygon": ("MultiPolygon",),
-    "shapely.geometry.point": ("Point",),
-    "shapely.io": ("from_wkb",),
-    "numpy": ("ndarray",),
-    "copyreg": ("_reconstructor",),
-    "copy_reg": ("_reconstructor",),
-    "builtins": ("object", "dict", "bytes", "bytearray"),
-    "__builtin__": ("object", "dict", "bytes", "bytearray"),
-}
-ADMITTED: Final = frozenset({_GRAPH, _DTYPE, _ENCODE}) | {
-    Name(module, name)
-    for modules in (_VIEWS, _ARRAYS, _OTHERS)
-    for module, names in modules.items()
-    for name in names
-}
+_BUILTINS: Final = ("object", "dict", "bytes", "bytearray")
+_MODULES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "networkx.classes.graph": ("Graph",),
+        "networkx.classes.reportviews": ("NodeView", "EdgeView", "DegreeView"),
+        "networkx.classes.coreviews": ("AdjacencyView", "AtlasView"),
+        "numpy": ("ndarray", "dtype"),
+        "numpy.core.multiarray": ("_reconstruct", "scalar"),
+        "numpy.core.numeric": ("_frombuffer",),
+        "numpy._core.multiarray": ("_reconstruct", "scalar"),
+        "numpy._core.numeric": ("_frombuffer",),
+        # What protocols 0 to 2 say for objects and bytes.
+        "copyreg": ("_reconstructor",),
+        "copy_reg": ("_reconstructor",),
+        "builtins": _BUILTINS,
+        "__builtin__": _BUILTINS,
+        "_codecs": ("encode",),
+        # Polygons that nodes of M may carry; they are not read.
+        "shapely.geometry.polygon": ("Polygon",),
+        "shapely.geometry.multipolygon": ("MultiPolygon",),
+        "shapely.geometry.point": ("Point",),
+        "shapely.io": ("from_wkb",),
+    }
+)
+ADMITTED: Final = frozenset(Name(module, name) for module in _MODULES for name in _MODULES[module])
 
 # How `struct` says what a numpy dtype says; objects, texts and records it cannot.
 _LETTERS: Final[Mapping[str, str]] = MappingProxyType(
@@ -229,8 +224,8 @@ def _array(asked: Asked) -> Any:
     if len(shape) > 2 or min(shape, default=0) < 0 or math.prod(shape) > MAX_ITEMS:
         raise ValueError(f"{asked!r} is larger than what is read")
     size = math.prod(shape)
-    order, letter = _layout(dtype)
-    flat = list(struct.unpack(f"{order}{size}{letter}", _bytes(raw)))
+    byte_order, letter = _layout(dtype)
+    flat = list(struct.unpack(f"{byte_order}{size}{letter}", _bytes(raw)))
     if len(shape) < 2:
         return flat if shape else flat[0]
     rows, columns = shape
@@ -242,7 +237,7 @@ def _array(asked: Asked) -> Any:
 def _layout(dtype: Any) -> tuple[str, str]:
     """Returns byte order and letter by which `struct` knows a plain numeric dtype."""
     if not isinstance(dtype, Asked) or dtype.name != _DTYPE:
-        raise TypeError(f"{dtype!r} is no dtype")
+        raise TypeError("what should be a dtype is none")
     return _ORDERS[dtype.state[1]], _LETTERS[dtype.arguments[0]]
 
 

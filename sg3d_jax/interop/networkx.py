@@ -70,11 +70,12 @@ def from_networkx(graph: "networkx.Graph", where: str = "graph") -> SceneGraph:
     return graph_from_attributes(graph.nodes(data=True), graph.edges(data=True), where)
 
 
-def graph_to_node_link(graph: SceneGraph) -> dict[str, Any]:
+def graph_to_node_link(graph: SceneGraph, **attributes: Any) -> dict[str, Any]:
     """Returns a host graph as what `networkx.node_link_graph(document, edges="edges")` reads.
 
     Args:
       graph: unpadded, metres.
+      **attributes: of the graph, such as `halt_reason`; JSON values.
 
     Returns:
       A JSON document; node ids are row numbers.
@@ -84,8 +85,8 @@ def graph_to_node_link(graph: SceneGraph) -> dict[str, Any]:
         for kind, pairs in _edges(graph)
         for source, target in pairs
     ]
-    nodes = [attributes | {"id": row} for row, attributes in enumerate(_nodes(graph))]
-    return {"directed": False, "multigraph": False, "graph": {}, "nodes": nodes, "edges": edges}
+    nodes = [node | {"id": row} for row, node in enumerate(_nodes(graph))]
+    return dict(directed=False, multigraph=False, graph=attributes, nodes=nodes, edges=edges)
 
 
 def graph_from_node_link(document: Any, where: str = "graph") -> SceneGraph:
@@ -228,7 +229,7 @@ def _width(attributes: Mapping[str, Any], where: str) -> float:
     return distance if wrong and distance > length + LENGTH_TOLERANCE else length
 
 
-def _points(limits: Any) -> list[list[Any]] | None:
+def _points(limits: Any) -> list[Any] | None:
     """Returns two points of three coordinates, or None: some files state the ends otherwise."""
     limits = _plain(limits)
     if not isinstance(limits, (list, tuple)) or len(limits) != 2:

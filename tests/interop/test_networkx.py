@@ -44,7 +44,7 @@ def authors_graph():
     graph = networkx.Graph()
     position = one_room().nodes.position
     graph.add_node(7, type="ws", center=position[0], normal=np.array([0.6, -0.8, -0.0]))
-    graph.nodes[7].update(length=np.float64(1 / 3), limits=[*ends], y=3)
+    graph.nodes[7].update(length=np.float64(1 / 3), limits=(tuple(ends[0]), ends[1]), y=3)
     graph.add_node(np.int64(2), type="room", center=position[1].tolist(), normal=[0, 0, 1])
     graph.add_node(9, type="ws", center=list(position[2]), normal=(-0.28, 0.96, 0.0), width=9)
     graph.nodes[9].update(length=2e-5)
