@@ -86,7 +86,8 @@ def graph_to_node_link(graph: SceneGraph, **attributes: Any) -> dict[str, Any]:
         for source, target in pairs
     ]
     nodes = [node | {"id": row} for row, node in enumerate(_nodes(graph))]
-    return dict(directed=False, multigraph=False, graph=attributes, nodes=nodes, edges=edges)
+    kind = {"directed": False, "multigraph": False}
+    return kind | {"graph": attributes, "nodes": nodes, "edges": edges}
 
 
 def graph_from_node_link(document: Any, where: str = "graph") -> SceneGraph:
