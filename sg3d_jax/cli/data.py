@@ -127,13 +127,13 @@ def sheet(source: Positional[str], output: Output, num_graphs: int = 24, first: 
       num_graphs: how many, six in a row.
       first: the first of them.
     """
-    from sg3d_jax.viz.figure import contact_sheet
+    from sg3d_jax.viz.figure import dataset_sheet
 
     check_at_least("--num-graphs", num_graphs, 1)
+    check_at_least("--first", first, 0)
     check_output(output, PICTURES)
     graphs = read(source, count=first + num_graphs)[first:]
-    rows = [graphs[start : start + 6] for start in range(0, len(graphs), 6)]
-    contact_sheet([(f"{first + 6 * i}", row) for i, row in enumerate(rows)], output)
+    dataset_sheet(graphs, output, first)
     print(f"{output}: {len(graphs)} graphs of {source}")
 
 

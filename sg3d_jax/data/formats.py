@@ -99,8 +99,8 @@ def write_graphs(
       path: the file to write; its suffix is one of those that the format has.
       graphs: unpadded, metres.
       to: one of `FORMATS`.
-      extras: what else the JSON document of each graph should say, such as `halt_reason`; readers
-        ignore it. For formats that are JSON.
+      extras: what else the JSON document of each graph should say of it, such as `halt_reason`;
+        readers ignore it.
       **options: of `graph_to_spark_dsg`.
 
     Raises:
@@ -118,7 +118,7 @@ def write_graphs(
     else:
         extras = [{}] * len(graphs) if extras is None else extras
         documents = [
-            {**_WRITERS[to](graph, **options), **extra}
+            _WRITERS[to](graph, **options, **extra)
             for graph, extra in zip(graphs, extras, strict=True)
         ]
         if path.suffix.lower() == ".json":

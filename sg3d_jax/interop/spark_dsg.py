@@ -14,22 +14,21 @@ instead, so that every node has at most one parent.
 """
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.interop.files import number, read_documents, vector, write_document
+from sg3d_jax.interop.files import number, vector
 from sg3d_jax.scene.concepts import CONCEPTS, PART_OF, PLANE, PROXIMITY, RELATIONS, ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.validate import validate_graph
+from sg3d_jax.viz.style import STYLES
 
 HEADER: Final = "SPARK_DSG_header"
 VERSION: Final = {"major": 1, "minor": 1, "patch": 3}
 LAYERS: Final = ("PLANES", "WALLS", "ROOMS", "FLOORS", "BUILDINGS", "CITIES")
 FIRST_LAYER: Final = 2  # 0 is unused in Hydra, 1 is the mesh
 LETTERS: Final = "pwRFBC"
-COLOURS: Final = ("#1d4ed8", "#f59e0b", "#dc2626", "#16a34a", "#06b6d4", "#111111")
 NO_SEMANTIC_LABEL: Final = 2**32 - 1
 NO_ROTATION: Final = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
 NO_BOX: Final = np.zeros(3)
@@ -144,36 +143,6 @@ def graph_from_spark_dsg(document: Any, where: str = "graph") -> SceneGraph:
     return _in_order(graph, nodes)
 
 
-def write_spark_dsg(
-    path: str | Path,
-    graph: SceneGraph,
-    walls: Literal["edges", "metadata"] = "edges",
-    **metadata: Any,
-) -> None:
-    """Writes a host graph as a Spark-DSG JSON file.
-
-    Args:
-      path: the file to write; their library opens names that end in .json.
-      graph: unpadded, metres.
-      walls: as in `graph_to_spark_dsg`.
-      **metadata: as in `graph_to_spark_dsg`.
-
-    Raises:
-      ValueError: the graph breaks the data model, or the file cannot be written.
-    """
-    validate_graph(graph, str(path), rules=False)
-    write_document(path, graph_to_spark_dsg(graph, walls, **metadata))
-
-
-def read_spark_dsg(path: str | Path) -> list[SceneGraph]:
-    """Returns the graphs of a .json file (one) or a .jsonl file (one a line).
-
-    Raises:
-      ValueError: one sentence that names the file, the line, the node or edge and the field.
-    """
-    return [graph_from_spark_dsg(document, where) for where, document in read_documents(path)]
-
-
 def _symbol(concept: int, row: int) -> int:
     return (ord(LETTERS[concept]) << SYMBOL_BITS) | row
 
@@ -213,7 +182,7 @@ def _node_records(
 
 def _attributes(concept: int, name: str) -> dict[str, Any]:
     """Returns the attributes that do not depend on geometry, every field of their class."""
-    red, green, blue = bytes.fromhex(COLOURS[concept][1:])
+    red, green, blue = bytes.fromhex(STYLES[concept].colour[1:])
     room: dict[str, Any] = {"semantic_class_probabilities": {}} if concept == ROOM else {}
     return {
         "type": "RoomNodeAttributes" if concept == ROOM else "SemanticNodeAttributes",

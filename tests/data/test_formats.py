@@ -64,11 +64,14 @@ def test_500_graphs_survive_graphml(graphs, tmp_path):
         assert_same(graph, expected)
 
 
-@pytest.mark.parametrize("to", ["json", "networkx", "spark-dsg"])
-def test_one_graph_has_a_file_of_its_own_and_keeps_what_else_is_said(graphs, to, tmp_path):
+@pytest.mark.parametrize(
+    ("to", "place"), [("json", None), ("networkx", "graph"), ("spark-dsg", "metadata")]
+)
+def test_one_graph_has_a_file_of_its_own_and_keeps_what_else_is_said(graphs, to, place, tmp_path):
     path = tmp_path / "graph.JSON"
     write_graphs(path, graphs[:1], to, [{"halt_reason": "HALTED"}])
-    assert json.loads(path.read_text())["halt_reason"] == "HALTED"
+    document = json.loads(path.read_text())
+    assert (document[place] if place else document)["halt_reason"] == "HALTED"
     (graph,) = read_graphs(path)
     assert_same(graph, graphs[0])
 
