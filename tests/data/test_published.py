@@ -338,13 +338,6 @@ def changed(graph, kind, without=None, **attributes):
     return graph
 
 
-def nested(depth):
-    value = []
-    for _ in range(depth):
-        value = [value]
-    return value
-
-
 def endless():
     value = [0.0]
     value.append(value)
