@@ -350,7 +350,7 @@ def test_a_data_set_is_imported_checked_and_drawn(capsys):
     run("data", "import", "r-f", "a.npz", "-o", "b.npz")
     capsys.readouterr()
     run("data", "check", "b.npz")
-    assert capsys.readouterr().out == "b.npz: 1 graphs, all sound\n"
+    assert capsys.readouterr().out == "b.npz: 1 graph, all sound\n"
     run("data", "sheet", "b.npz", "-o", "sheet.png")
     assert os.path.getsize("sheet.png") > 0
     room_alone = {"nodes": [node(0, "room"), node(1, "floor")], "edges": [[0, 1]]}

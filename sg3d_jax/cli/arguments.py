@@ -45,3 +45,8 @@ def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
         raise ValueError(f"{path}: the name ends in {path.suffix!r}, expected {expected}")
     if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
         raise ValueError(f"{path}: cannot be written, expected a file in a folder that can")
+
+
+def counted(count: int, noun: str = "graph") -> str:
+    """Returns a number with its noun, such as "1 graph" or "3 graphs"."""
+    return f"{count} {noun}{'s' * (count != 1)}"

@@ -15,6 +15,7 @@ from sg3d_jax.cli.arguments import (
     Positional,
     check_at_least,
     check_output,
+    counted,
     read,
 )
 from sg3d_jax.interop.files import replacing
@@ -41,7 +42,7 @@ def make(
     check_output(output, (".npz",))
     graphs = registry.make(name, num_graphs, seed)
     schema.save(output, graphs, registry.header(name, seed))
-    print(f"{output}: {len(graphs)} graphs")
+    print(f"{output}: {counted(len(graphs))}")
 
 
 @app.command(name="import")
@@ -61,7 +62,7 @@ def import_(name: Positional[str], source: Positional[Path], output: Output, see
     check_output(output, (".npz",))
     graphs, header = registry.import_file(name, source, seed)
     schema.save(output, graphs, header)
-    print(f"{output}: {len(graphs)} graphs")
+    print(f"{output}: {counted(len(graphs))}")
     left_out = header.get("left_out", [])
     for reason in left_out[:3]:
         print(f"{output}: left out {reason}")
@@ -109,12 +110,10 @@ def check(source: Positional[str]) -> None:
     graphs = read(source)
     for index, graph in enumerate(graphs):
         validate_graph(graph, f"{source}: graph {index}")
-    print(f"{source}: {len(graphs)} graphs, all sound")
+    print(f"{source}: {counted(len(graphs))}, all sound")
     for remark in remarks_on(graphs):
-        print(
-            f"{source}: {remark.what}: {remark.nodes} in {remark.graphs} "
-            f"graph{'s' * (remark.graphs != 1)}, first in graph {remark.first}"
-        )
+        seen = f"{remark.nodes} in {counted(remark.graphs)}, first in graph {remark.first}"
+        print(f"{source}: {remark.what}: {seen}")
 
 
 @app.command
@@ -134,7 +133,7 @@ def sheet(source: Positional[str], output: Output, num_graphs: int = 24, first: 
     check_output(output, PICTURES)
     graphs = read(source, count=first + num_graphs)[first:]
     dataset_sheet(graphs, output, first)
-    print(f"{output}: {len(graphs)} graphs of {source}")
+    print(f"{output}: {counted(len(graphs))} of {source}")
 
 
 def _print_data_sets() -> None:
@@ -164,9 +163,9 @@ def _print_statistics(summaries: dict[str, dict[str, Any]], known: dict[str, str
     from sg3d_jax.data.registry import DATASETS
     from sg3d_jax.scene.concepts import CONCEPTS
 
-    table = Table(title="Means over graphs [the paper's]")
+    table = Table(title=r"Means over graphs \[the paper's]")
     table.add_column("data set")
-    for column in ("graphs", "|V|", "|E|", "degree", *(f"{concept}s" for concept in CONCEPTS)):
+    for column in ("graphs", "|V|", "|E|", "degree", *CONCEPTS):
         table.add_column(column, justify="right")
     for name, summary in summaries.items():
         paper = DATASETS[known[name]].paper if known[name] in DATASETS else None

@@ -2,7 +2,15 @@
 
 from typing import Literal
 
-from sg3d_jax.cli.arguments import PAGES, PICTURES, Output, Positional, check_output, read
+from sg3d_jax.cli.arguments import (
+    PAGES,
+    PICTURES,
+    Output,
+    Positional,
+    check_output,
+    counted,
+    read,
+)
 
 
 def view(source: Positional[str], output: Output, index: int | None = None) -> None:
@@ -22,7 +30,7 @@ def view(source: Positional[str], output: Output, index: int | None = None) -> N
     graphs = read(source, index if is_page else index or 0, 100)
     if is_page:
         save_page(graphs, output, title=source)
-        print(f"{output}: page of {len(graphs)} graph{'s' * (len(graphs) != 1)} of {source}")
+        print(f"{output}: page of {counted(len(graphs))} of {source}")
     else:
         save_picture(graphs[0], output)
         print(f"{output}: picture of {source}")
@@ -53,4 +61,4 @@ def export(
     graphs = read(source, index)
     options = {"walls": walls} if to == "spark-dsg" else {}
     write_graphs(output, graphs, to, **options)
-    print(f"{output}: {len(graphs)} graph{'s' * (len(graphs) != 1)} as {to}")
+    print(f"{output}: {counted(len(graphs))} as {to}")
