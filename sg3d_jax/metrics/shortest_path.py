@@ -2,10 +2,14 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import part_of_adjacency
+
+# Of float32, with room for a sum over the nodes above, and no denormals below.
+LARGEST_EXPONENT, SMALLEST_EXPONENT = 110, -120
+BIAS, MANTISSA_BITS = 127, 23
 
 
 def hop_distances(adjacency: Bool[Array, "N N"], mask: Bool[Array, " N"]) -> Int[Array, "N N"]:
@@ -22,20 +26,41 @@ def hop_distances(adjacency: Bool[Array, "N N"], mask: Bool[Array, " N"]) -> Int
     Source: paper, Sec. "Metrics" (SP in the Gromov-Wasserstein term).
     Differs: the paper leaves the distance of unconnected nodes open; ours is that of its dummies.
     """
-    links = adjacency.astype(jnp.float32)
-    start = jnp.eye(mask.shape[0], dtype=bool)
+    # The last node of the first `span` hops of a path splits it into two shorter ones, and the best
+    # split is found by one matrix product: a sum of powers of a base that exceeds the number of
+    # nodes has the exponent of its largest term. So the known span doubles with every turn, as far
+    # as the exponents of float32 reach. The factors are powers of two: no precision rounds them.
+    bits = mask.shape[0].bit_length()
+    reach = (LARGEST_EXPONENT - SMALLEST_EXPONENT) // bits
 
-    # One breadth-first layer a turn, from every node at once: as many turns as the longest path.
-    def spread(state: tuple) -> tuple:
-        reached, _, hops, turn = state
-        wider = reached | (reached.astype(jnp.float32) @ links > 0)
-        hops = jnp.where(wider & ~reached, turn, hops)
-        return wider, jnp.any(wider != reached), hops, turn + 1
+    def widen(state: tuple) -> tuple:
+        known, hops, span, _ = state
+        stride = jnp.minimum(span, reach)
+        short = (hops > 0) & (hops <= stride)
+        code = jnp.where(short, _power_of_two(LARGEST_EXPONENT - bits * hops), 0.0)
+        frontier = known & (hops == span)
+        total = frontier.astype(jnp.float32) @ code
+        beyond = (LARGEST_EXPONENT - _exponent(total) + bits - 1) // bits
+        found = (total > 0) & ~known
+        hops = jnp.where(found, span + beyond, hops)
+        return known | found, hops, span + stride, jnp.any(found)
 
-    initial = start, jnp.array(True), jnp.zeros(start.shape, jnp.int32), jnp.array(1, jnp.int32)
-    reached, _, hops, _ = jax.lax.while_loop(lambda state: state[1], spread, initial)
-    unconnected = mask[:, None] & mask[None, :] & ~reached
+    itself = jnp.eye(mask.shape[0], dtype=bool)
+    hops = (adjacency & ~itself).astype(jnp.int32)
+    start = itself | adjacency, hops, jnp.array(1, jnp.int32), jnp.array(True)
+    known, hops, *_ = jax.lax.while_loop(lambda state: state[-1], widen, start)
+    unconnected = mask[:, None] & mask[None, :] & ~known
     return jnp.where(unconnected, 1 + jnp.max(hops, initial=0), hops)
+
+
+def _power_of_two(exponent: Int[Array, "N N"]) -> Float[Array, "N N"]:
+    """Returns powers of two from the bits of float32: a third of the time of `ldexp`."""
+    return jax.lax.bitcast_convert_type((BIAS + exponent) << MANTISSA_BITS, jnp.float32)
+
+
+def _exponent(value: Float[Array, "N N"]) -> Int[Array, "N N"]:
+    """Returns the logarithm to base two of positive float32, rounded down."""
+    return (jax.lax.bitcast_convert_type(value, jnp.int32) >> MANTISSA_BITS) - BIAS
 
 
 def part_of_hops(graph: SceneGraph) -> Int[Array, "N N"]:
