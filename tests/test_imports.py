@@ -26,7 +26,7 @@ RANK: Final = {name: rank for rank, names in enumerate(RANKS) for name in names}
 HOMES: Final = {
     "flax": "nn/",
     "orbax": "train/checkpoint.py",
-    "ott": "metrics/fgw.py",
+    "ott": "metrics/entropic.py",
     "matplotlib": "viz/",
     "mpl_toolkits": "viz/",
     "plotly": "viz/",

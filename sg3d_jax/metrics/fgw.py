@@ -34,7 +34,7 @@ class FGW(NamedTuple):
     gw: HostOrDevice  # float[], structure: difference of hop distances, as a share of the largest
     w: HostOrDevice  # float[], features: distance of position and label, in spreads of the planes
     plan: HostOrDevice | None  # float[N, N], mass from generated (rows) to true nodes (columns)
-    converged: HostOrDevice  # bool[], the Frank-Wolfe gap fell below the tolerance
+    converged: HostOrDevice  # bool[], the solver met its tolerance
     iterations: HostOrDevice  # int32[]
 
 

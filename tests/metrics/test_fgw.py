@@ -1,172 +1,44 @@
 import itertools
-import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse.csgraph import shortest_path
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from sg3d_jax.data import registry
 from sg3d_jax.metrics.fgw import FGW, PAIRS_PER_CALL, _fgw_stacked, fgw, fgw_pairs
-from sg3d_jax.scene.concepts import FLOOR, PART_OF, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.metrics.fgw_problem import Scale, pose
+from sg3d_jax.metrics.frank_wolfe import from_assignment, minimise
+from sg3d_jax.scene.concepts import PLANE, ROOM
+from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Capacity, pad, stack
+from tests.metrics.fgw_reference import (
+    CAPACITY,
+    graph_of,
+    on_device,
+    permute,
+    perturb,
+    placed,
+    pot_fgw,
+    pot_squared,
+    random_hierarchy,
+    random_pairs,
+    reference_costs,
+    reference_fgw,
+)
 
-CAPACITY = Capacity(24, 288)
-
-
-def random_hierarchy(rng: np.random.Generator, rooms: int, noise: float = 0.0) -> SceneGraph:
-    """Rooms of four planes on a row, a wall between neighbours, one floor; positions in metres."""
-    sides = np.array([[0.0, 2.0, 1.0], [4.0, 2.0, 1.0], [2.0, 0.0, 1.0], [2.0, 4.0, 1.0]])
-    planes = np.concatenate([sides + np.array([4.0 * room, 0, 0]) for room in range(rooms)])
-    walls = np.array([[4.0 * room, 2.0, 1.0] for room in range(1, rooms)]).reshape(-1, 3)
-    centres = np.array([[4.0 * room + 2.0, 2.0, 1.0] for room in range(rooms)])
-    label = [PLANE] * len(planes) + [WALL] * len(walls) + [ROOM] * rooms + [FLOOR]
-    wall, room, floor = len(planes), len(planes) + len(walls), len(label) - 1
-    edges = [(4 * index + side, room + index) for index in range(rooms) for side in range(4)]
-    edges += [(4 * index + 1, wall + index) for index in range(rooms - 1)]
-    edges += [(4 * index + 4, wall + index) for index in range(rooms - 1)]
-    edges += [(room + index, floor) for index in range(rooms)]
-    position = np.concatenate([planes, walls, centres, centres.mean(axis=0, keepdims=True)])
-    position += rng.normal(size=position.shape) * 0.05
-    position[wall:] += rng.normal(size=position[wall:].shape) * noise
-    return graph_of(label, position, edges)
-
-
-def graph_of(label: list[int], position: np.ndarray, part_of: list | np.ndarray) -> SceneGraph:
-    """A host graph without normals, widths or proximity."""
-    count = len(label)
-    return make_graph(label, position, np.zeros((count, 3)), np.zeros(count), part_of)
-
-
-def perturb(rng: np.random.Generator, graph: SceneGraph, drop: int, share: float) -> SceneGraph:
-    """Moves the new nodes by metres, drops the last `drop` of them and a share of the edges."""
-    label, position = graph.nodes.label, graph.nodes.position.copy()
-    new = label != PLANE
-    position[new] += rng.normal(size=(new.sum(), 3))
-    keep = len(label) - drop
-    pairs = undirected_edges(graph, PART_OF)
-    pairs = pairs[(pairs < keep).all(axis=1)]
-    pairs = pairs[rng.random(len(pairs)) >= share]
-    return graph_of(label[:keep], position[:keep], pairs)
-
-
-def placed(graph: SceneGraph, position: np.ndarray | jax.Array) -> SceneGraph:
-    return graph._replace(nodes=graph.nodes._replace(position=position))
-
-
-def permute(graph: SceneGraph, order: np.ndarray) -> SceneGraph:
-    """The same graph with its nodes listed in another order."""
-    slot = np.argsort(order)
-    pairs = slot[undirected_edges(graph, PART_OF)]
-    return graph_of(graph.nodes.label[order], graph.nodes.position[order], pairs)
-
-
-def reference_costs(
-    generated: SceneGraph, truth: SceneGraph
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Feature distances and both hop matrices, in float64, dummies included."""
-    planes = truth.nodes.position[truth.nodes.label == PLANE]
-    scale = np.sqrt(planes[:, :2].var(axis=0).mean()) or 1.0
-    size = max(len(generated.nodes.label), len(truth.nodes.label))
-    features, hops, longest = [], [], []
-    for graph in (generated, truth):
-        count = len(graph.nodes.label)
-        row = np.zeros((size, 9))
-        row[:count, :3] = (graph.nodes.position - planes.mean(axis=0)) / scale
-        row[np.arange(count), 3 + graph.nodes.label] = 1.0
-        adjacency = np.zeros((count, count))
-        adjacency[tuple(undirected_edges(graph, PART_OF).T)] = 1.0
-        path = shortest_path(adjacency, directed=False, unweighted=True)
-        path[np.isinf(path)] = 1 + path[np.isfinite(path)].max()
-        padded = np.full((size, size), 1 + path.max())
-        padded[:count, :count] = path
-        np.fill_diagonal(padded, 0.0)
-        features.append(row)
-        hops.append(padded)
-        longest.append(path.max())
-    scale = max(*longest, 1.0)
-    distance = np.linalg.norm(features[0][:, None] - features[1][None], axis=-1)
-    return distance, hops[0] / scale, hops[1] / scale
-
-
-def structure_of(plan: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The tensor product sum_kl P_kl |a_ik - b_jl|, by definition."""
-    difference = np.abs(left[:, None, :, None] - right[None, :, None, :])
-    return np.einsum("ijkl,kl->ij", difference, plan)
-
-
-def reference_fgw(
-    distance: np.ndarray, left: np.ndarray, right: np.ndarray, alpha: float
-) -> tuple[float, float, float]:
-    """FGW, GW and W by Frank-Wolfe with scipy's assignment and the four-axis tensor."""
-    size = len(distance)
-    plan = np.full((size, size), 1.0 / size**2)
-    for _ in range(100):
-        structure = structure_of(plan, left, right)
-        gradient = (1 - alpha) * distance + 2 * alpha * structure
-        vertex = np.zeros_like(plan)
-        vertex[linear_sum_assignment(gradient)] = 1.0 / size
-        slope = np.sum(gradient * (vertex - plan))
-        if slope > -1e-12:
-            break
-        curvature = alpha * np.sum(structure_of(vertex - plan, left, right) * (vertex - plan))
-        step = min(1.0, -slope / (2 * curvature)) if curvature > 0 else 1.0
-        plan = plan + step * (vertex - plan)
-    w = np.sum(distance * plan)
-    gw = np.sum(structure_of(plan, left, right) * plan)
-    return (1 - alpha) * w + alpha * gw, gw, w
-
-
-def pot_fgw(
-    distance: np.ndarray, left: np.ndarray, right: np.ndarray, alpha: float
-) -> tuple[float, float, float]:
-    """FGW, GW and W by POT's generic conditional gradient with the absolute loss."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        ot = pytest.importorskip("ot")
-    mass = np.full(len(distance), 1.0 / len(distance))
-
-    def energy(plan):
-        return np.sum(plan * structure_of(plan, left, right))
-
-    def line_search(cost, plan, direction, *_, **__):
-        slope = np.sum(cost_of(plan) * direction)
-        curvature = alpha * np.sum(structure_of(direction, left, right) * direction)
-        step = min(1.0, -slope / (2 * curvature)) if curvature > 0 else 1.0
-        after = plan + step * direction
-        return step, 1, (1 - alpha) * np.sum(distance * after) + alpha * energy(after)
-
-    def cost_of(plan):
-        return (1 - alpha) * distance + 2 * alpha * structure_of(plan, left, right)
-
-    plan = ot.optim.cg(
-        mass,
-        mass,
-        (1 - alpha) * distance,
-        alpha,
-        energy,
-        lambda plan: 2 * structure_of(plan, left, right),
-        np.outer(mass, mass),
-        line_search=line_search,
-    )
-    w, gw = np.sum(distance * plan), energy(plan)
-    return (1 - alpha) * w + alpha * gw, gw, w
+LOOSE = Capacity(32, 384)
 
 
 @pytest.fixture(scope="module")
 def pairs() -> tuple[list[SceneGraph], list[SceneGraph]]:
-    """Generated and true graphs of one to four rooms, of unequal sizes, some disconnected."""
-    rng = np.random.default_rng(7)
-    truth = [random_hierarchy(rng, rooms) for rooms in (1, 2, 3, 4, 1, 2, 3, 4)]
-    drops, shares = (0, 1, 2, 3, 3, 2, 1, 0), (0.0, 0.1, 0.2, 0.3, 0.3, 0.0, 0.5, 0.2)
-    made = [perturb(rng, *each) for each in zip(truth, drops, shares, strict=True)]
-    return made + truth[:3], truth + made[:3]
+    return random_pairs()
 
 
 def one(generated: SceneGraph, truth: SceneGraph, capacity: Capacity = CAPACITY) -> FGW:
-    return fgw(*(jax.tree.map(jnp.asarray, pad(graph, capacity)) for graph in (generated, truth)))
+    return fgw(on_device(generated, capacity), on_device(truth, capacity))
 
 
 @pytest.mark.parametrize("reference", [reference_fgw, pot_fgw])
@@ -178,6 +50,62 @@ def test_fgw__agrees_with_other_solvers(pairs, reference, alpha):
     np.testing.assert_allclose(found, expected, atol=1e-4)
     assert scores.converged.all()
     assert scores.value.min() > 0.1
+
+
+@pytest.mark.parametrize("alpha", [0.5, 0.2])
+def test_fgw__with_the_squared_loss_agrees_with_pots_own_solver(pairs, alpha):
+    scores = fgw_pairs(*pairs, alpha, loss="squared")
+    expected = [pot_squared(*reference_costs(*pair), alpha) for pair in zip(*pairs, strict=True)]
+    found = np.stack([scores.value, scores.gw, scores.w], axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["s-f-square", "s-f"])
+def test_fgw__agrees_with_pot_on_floors(name):
+    rng = np.random.default_rng(1)
+    truth = [graph for graph in registry.make(name, 30) if 16 < len(graph.nodes.label) <= 24]
+    generated = [perturb(rng, graph, int(rng.integers(3)), 0.1) for graph in truth]
+    assert len(truth) > 2
+    costs = [reference_costs(*pair) for pair in zip(generated, truth, strict=True)]
+    for loss, solver in (("absolute", pot_fgw), ("squared", pot_squared)):
+        expected = [solver(*cost, 0.5)[0] for cost in costs]
+        np.testing.assert_allclose(
+            fgw_pairs(generated, truth, loss=loss).value, expected, atol=1e-4
+        )
+
+
+def test_fgw__is_as_good_as_the_best_of_ten_random_starts(pairs):
+    def best_of_ten(generated, truth, orders):
+        problem = pose(generated, truth)
+
+        def from_order(order):
+            inside = jnp.arange(len(order)) < problem.size
+            columns = jnp.argsort(jnp.where(inside, order, jnp.inf))
+            found = minimise(
+                problem, 0.5, "absolute", from_assignment(problem, columns, "absolute")
+            )
+            return jnp.sum((problem.features + found.structure) * found.plan) / 2
+
+        return jnp.min(jax.vmap(from_order)(orders))
+
+    orders = np.random.default_rng(0).random((len(pairs[0]), 10, CAPACITY.nodes), np.float32)
+    best = jax.jit(jax.vmap(best_of_ten))(*(stack(side, CAPACITY) for side in pairs), orders)
+    assert np.mean(fgw_pairs(*pairs).value / best) < 1.001
+
+
+def test_scale__is_what_counts_as_distance_one(pairs):
+    generated, truth = (on_device(side[3]) for side in pairs)
+    planes = truth.nodes.position[truth.nodes.mask & (truth.nodes.label == PLANE)]
+    spread = float(np.sqrt(np.var(planes, axis=0)[:2].mean()))
+    longest = float(pose(generated, truth).unit)
+    paper = fgw(generated, truth)
+    same = fgw(generated, truth, scale=Scale(metres=spread, hops=longest))
+    np.testing.assert_allclose(same[:3], paper[:3], rtol=1e-5)
+    # Of GW alone, the plan does not depend on the unit; a power of two rounds nothing.
+    half = Scale(metres=2 * spread, hops=2 * longest)
+    np.testing.assert_allclose(
+        fgw(generated, truth, 1.0, half).gw, fgw(generated, truth, 1.0).gw / 2
+    )
 
 
 def test_plan__has_uniform_marginals_and_gives_the_energies_by_brute_force(pairs):
@@ -200,20 +128,18 @@ def test_plan__has_uniform_marginals_and_gives_the_energies_by_brute_force(pairs
     np.testing.assert_allclose(score.gw, energy, atol=1e-5)
 
 
-def test_fgw__does_not_depend_on_padding(pairs):
-    generated, truth = pairs[0][1], pairs[1][1]
-    tight = one(generated, truth, Capacity(len(truth.nodes.label), 64))
-    loose = one(generated, truth, CAPACITY)
-    np.testing.assert_allclose(loose[:3], tight[:3], atol=1e-6)
-
-
-def test_fgw__does_not_depend_on_the_order_of_nodes(pairs):
-    rng = np.random.default_rng(0)
+@given(st.integers(1, 3), st.integers(0, 4), st.sampled_from([0.0, 0.3, 1.0]), st.integers(0, 999))
+@settings(deadline=None, max_examples=25)
+def test_fgw__does_not_depend_on_padding_or_the_order_of_nodes(rooms, drop, share, seed):
+    rng = np.random.default_rng(seed)
+    truth = random_hierarchy(rng, rooms)
+    generated = perturb(rng, truth, drop, share)
     shuffled = [
-        [permute(graph, rng.permutation(len(graph.nodes.label))) for graph in side]
-        for side in pairs
+        permute(graph, rng.permutation(len(graph.nodes.label))) for graph in (generated, truth)
     ]
-    np.testing.assert_allclose(fgw_pairs(*shuffled).value, fgw_pairs(*pairs).value, atol=1e-5)
+    expected = one(generated, truth)
+    np.testing.assert_allclose(one(generated, truth, LOOSE)[:3], expected[:3], atol=1e-6)
+    np.testing.assert_allclose(one(*shuffled).value, expected.value, atol=1e-5)
 
 
 def test_fgw__of_a_graph_with_itself_is_zero_wherever_it_stands(pairs):
@@ -254,6 +180,22 @@ def test_fgw__of_single_nodes_and_of_one_plane_is_finite():
     # One plane has no spread: metres stay metres.
     np.testing.assert_allclose(scores.w[1], np.sqrt(26) / 2, rtol=1e-6)
     assert np.isfinite(scores.gw[1])
+
+
+EMPTY = graph_of([], np.zeros((0, 3)), np.zeros((0, 2)))
+ONE_PLANE = graph_of([PLANE], np.zeros((1, 3)), np.zeros((0, 2)))
+APART = graph_of([PLANE, PLANE, ROOM, ROOM], np.eye(4, 3), [[0, 2]])
+
+
+def test_fgw__of_empty_single_and_disconnected_graphs_is_finite():
+    graphs = [EMPTY, ONE_PLANE, APART]
+    pairs = list(itertools.product(graphs, graphs))
+    scores = fgw_pairs(*zip(*pairs, strict=True))
+    assert scores.converged.all()
+    assert np.isfinite(scores.value).all()
+    same = np.array([generated is truth for generated, truth in pairs])
+    assert (scores.value[same] == 0).all()
+    assert (scores.value[~same] > 0).all()
 
 
 def test_fgw__in_a_vmap_is_that_of_every_pair_alone(pairs):

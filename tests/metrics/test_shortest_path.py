@@ -52,6 +52,24 @@ def test_longest_possible_path():
     assert hop_distances(jnp.asarray(adjacency), jnp.asarray(mask))[0, -1] == CAPACITY - 1
 
 
+def test_paths_longer_than_the_exponents_of_float32_reach():
+    # 10 bits a hop: 23 hops in one product, then in steps of 23.
+    count = 520
+    ends = np.arange(count)
+    adjacency = np.abs(ends[:, None] - ends[None, :]) == 1
+    hops = hop_distances(jnp.asarray(adjacency), jnp.ones(count, bool))
+    np.testing.assert_array_equal(hops, np.abs(ends[:, None] - ends[None, :]))
+
+
+def test_ties_between_many_shortest_paths_do_not_shorten_them():
+    # All of the middle layer lies between both ends: the sum of the most terms there can be.
+    graph = nx.complete_bipartite_graph(2, 1021)
+    adjacency = jnp.asarray(nx.to_numpy_array(graph) > 0)
+    hops = np.asarray(hop_distances(adjacency, jnp.ones(len(adjacency), bool)))
+    assert hops[0, 1] == 2
+    np.testing.assert_array_equal(hops, hops_of_networkx(graph))
+
+
 def test_proximity_edges_are_no_path():
     graph = make_graph(
         [PLANE, PLANE, ROOM, FLOOR],
