@@ -1,0 +1,94 @@
+"""The paper's tables from result files: our rows of each data set above the paper's.
+
+A result is what `sg3d evaluate -o` writes: `method`, `data`, `seeds` and, for each score of
+`metrics.paper`, its `mean` and `sd` over the seeds under `scores`.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from sg3d_jax.metrics.paper import HEADINGS, PAPER, SCORES
+
+FORMATS: Final = ("markdown", "latex")
+MISSING: Final = "-"
+
+
+class Row(NamedTuple):
+    """One method on one data set."""
+
+    method: str
+    cells: tuple[str, ...]  # one a score
+
+
+def rows_by_data(results: Sequence[Mapping[str, Any]]) -> dict[str, list[Row]]:
+    """Returns the rows of each data set: ours in the order given, then the paper's.
+
+    Raises:
+      ValueError: a result lacks a field; the sentence says which result and field.
+    """
+    tables: dict[str, list[Row]] = {}
+    for index, result in enumerate(results):
+        for field in ("method", "data", "scores"):
+            if field not in result:
+                raise ValueError(f"result {index} lacks {field!r}, expected `sg3d evaluate -o`")
+        cells = tuple(_cell(result["scores"].get(name)) for name in SCORES)
+        tables.setdefault(result["data"], []).append(Row(result["method"], cells))
+    for data, rows in tables.items():
+        for method, values in PAPER.get(data, {}).items():
+            known = [f"{value:.2f}" for value in values]
+            missing = [MISSING] * (len(SCORES) - len(known))
+            rows.append(Row(f"{method} (paper)", (*known, *missing)))
+    return tables
+
+
+def render(results: Sequence[Mapping[str, Any]], to: str = "markdown") -> str:
+    """Returns the tables of all data sets as text.
+
+    Args:
+      results: see the module.
+      to: one of `FORMATS`.
+
+    Raises:
+      ValueError: an unknown format, or a result that lacks a field.
+    """
+    if to not in FORMATS:
+        raise ValueError(f"the format is {to!r}, expected one of {', '.join(FORMATS)}")
+    draw = _markdown if to == "markdown" else _latex
+    tables = rows_by_data(results)
+    return "\n".join(draw(data, rows) for data, rows in tables.items())
+
+
+def _cell(score: Mapping[str, float] | None) -> str:
+    """Returns a mean, with its standard deviation where there are several seeds."""
+    if score is None:
+        return MISSING
+    spread = score.get("sd")
+    return f"{score['mean']:.3f}" + ("" if spread is None else f" ± {spread:.3f}")
+
+
+def _markdown(data: str, rows: Sequence[Row]) -> str:
+    lines = [
+        (data, *HEADINGS),
+        ("---", *["---:"] * len(HEADINGS)),
+        *((r.method, *r.cells) for r in rows),
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def _latex(data: str, rows: Sequence[Row]) -> str:
+    """Returns a tabular that needs the package booktabs."""
+    lines = [(_escaped(data), *HEADINGS)]
+    lines += [
+        (_escaped(r.method), *(cell.replace("±", r"$\pm$") for cell in r.cells)) for r in rows
+    ]
+    head, *body = (" & ".join(line) + r" \\" for line in lines)
+    columns = "l" + "r" * len(HEADINGS)
+    begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule"]
+    return "\n".join([*begin, *body, r"\bottomrule", r"\end{tabular}"]) + "\n"
+
+
+def _escaped(text: str) -> str:
+    """Returns text that LaTeX prints as it is."""
+    for symbol in "_&%#":
+        text = text.replace(symbol, f"\\{symbol}")
+    return text.replace("□", r"$\square$")

@@ -1,0 +1,69 @@
+"""Tables hold what results and paper say."""
+
+import re
+
+import pytest
+
+from sg3d_jax.metrics.paper import HEADINGS, PAPER, SCORES
+from sg3d_jax.metrics.table import render, rows_by_data
+
+RESULT = {
+    "method": "fd4_new",
+    "data": "s-f",
+    "scores": {name: {"mean": 0.1 * i, "sd": 0.01} for i, name in enumerate(SCORES)},
+}
+ONE_SEED = RESULT | {"method": "one seed", "scores": {"fgw": {"mean": 0.5, "sd": None}}}
+
+
+def test_fgw_is_the_mean_of_its_parts_wherever_the_paper_has_it():
+    for data, methods in PAPER.items():
+        for method, (fgw, gw, w, *_) in methods.items():
+            assert fgw == pytest.approx((gw + w) / 2, abs=0.016), (data, method)
+
+
+def test_recordings_alone_have_no_distribution_scores():
+    for data, methods in PAPER.items():
+        expected = 3 if data.startswith("r-") else len(SCORES)
+        assert {len(values) for values in methods.values()} == {expected}
+
+
+def test_our_rows_come_first_then_those_of_the_paper():
+    rows = rows_by_data([RESULT, ONE_SEED])["s-f"]
+    assert [row.method for row in rows[:3]] == ["fd4_new", "one seed", "Rand (paper)"]
+    assert rows[0].cells[1] == "0.100 ± 0.010"
+    assert rows[1].cells == ("0.500", *["-"] * 6)
+    assert rows[2].cells[0] == "0.69"
+    assert len(rows) == 2 + len(PAPER["s-f"])
+
+
+def test_every_data_set_has_a_table_of_its_own():
+    tables = rows_by_data([RESULT, RESULT | {"data": "p-f"}, RESULT | {"data": "r-b"}])
+    assert list(tables) == ["s-f", "p-f", "r-b"]
+    assert len(tables["p-f"]) == 1
+    assert tables["r-b"][1].cells == ("0.81", "0.70", "0.92", "-", "-", "-", "-")
+
+
+def test_markdown_has_as_many_cells_in_every_line():
+    lines = render([RESULT, ONE_SEED]).strip().split("\n")
+    assert {line.count("|") for line in lines} == {len(HEADINGS) + 2}
+
+
+def test_latex_has_as_many_cells_in_every_line_and_escapes():
+    text = render([RESULT], "latex")
+    lines = [line for line in text.split("\n") if line.endswith(r"\\")]
+    assert {len(re.findall(r"(?<!\\)&", line)) for line in lines} == {len(HEADINGS)}
+    assert r"fd4\_new" in text
+    assert r"EC-$\square$" in text
+    assert "±" not in text
+
+
+@pytest.mark.parametrize("field", ["method", "data", "scores"])
+def test_a_result_without_a_field_is_refused(field):
+    broken = {key: value for key, value in RESULT.items() if key != field}
+    with pytest.raises(ValueError, match=f"result 1 lacks '{field}'"):
+        render([RESULT, broken])
+
+
+def test_an_unknown_format_is_refused():
+    with pytest.raises(ValueError, match="the format is 'html', expected one of markdown, latex"):
+        render([RESULT], "html")
