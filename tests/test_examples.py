@@ -8,7 +8,7 @@ from sg3d_jax.flagg.sample import growth_capacity
 from sg3d_jax.scene.validate import validate_planes
 from tests.tiny_run import ROOT
 
-FILES = sorted(p for p in (ROOT / "examples").iterdir() if p.suffix != ".png")
+FILES = sorted(p for p in (ROOT / "examples").iterdir() if p.suffix not in {".png", ".py"})
 
 
 def test_there_is_one_of_every_format():
