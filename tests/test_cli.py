@@ -1,5 +1,6 @@
 """The command line, run in this process on the initial weights of a tiny run."""
 
+import csv
 import functools
 import json
 import os
@@ -14,9 +15,10 @@ import pytest
 import sg3d_jax
 from sg3d_jax import __version__, cli
 from sg3d_jax.data import registry
-from sg3d_jax.data.formats import read_graphs
+from sg3d_jax.data.formats import read_graphs, write_graphs
 from sg3d_jax.flagg import sample
 from sg3d_jax.interop.planes import COLUMNS, planes_to_dict
+from sg3d_jax.metrics.paper import SCORES
 from sg3d_jax.scene.concepts import CONCEPTS
 from sg3d_jax.train import loop
 from sg3d_jax.train import weights as weights_module
@@ -357,7 +359,7 @@ def test_a_data_set_is_imported_checked_and_drawn(capsys):
     write_lines("c.jsonl", [room_alone])
     capsys.readouterr()
     run("data", "check", "c.jsonl")
-    assert "room without a part: 1 in 1 graph, first in graph 0" in capsys.readouterr().out
+    assert "empty room: 1 in 1 graph, first in graph 0" in capsys.readouterr().out
 
 
 def test_bad_input_to_data_is_refused(capsys):
@@ -384,29 +386,78 @@ def test_bad_input_to_data_is_refused(capsys):
 def test_weights_are_evaluated(weights, capsys):
     run(
         *("evaluate", weights, "--num-graphs", 2, "-o", "scores.json", "--sheet", "worst.png"),
-        *("--split", "validation"),
+        *("--split", "validation", "--seeds", 0, 1, "--row", "scores.csv"),
     )
     with open("scores.json") as file:
-        scores = json.load(file)
-    assert scores["graphs"] == 2
-    assert len(scores["fgw_per_graph"]) == 2
-    assert np.isclose(scores["fgw"], np.mean(scores["fgw_per_graph"]))
-    assert (scores["weights"], scores["split"], scores["seed"]) == (weights, "validation", 0)
-    assert 0 <= scores["halted"] <= 1
-    assert f"{scores['fgw']:.4f}" in capsys.readouterr().out
+        content = json.load(file)
+    about = (content["method"], content["split"], content["graphs"], content["seeds"])
+    assert about == (weights, "validation", 2, [0, 1])
+    fgw = [np.mean(one["fgw_per_graph"]) for one in content["runs"]]
+    assert content["scores"]["fgw"]["mean"] == pytest.approx(np.mean(fgw))
+    assert content["scores"]["fgw"]["sd"] == pytest.approx(np.std(fgw, ddof=1))
+    assert {*SCORES} <= {*content["scores"]}
+    assert 0 <= content["scores"]["halted"]["mean"] <= 1
+    assert f"{content['scores']['fgw']['mean']:.4f}" in capsys.readouterr().out
+    with open("scores.csv") as file:
+        (row,) = csv.DictReader(file)
+    assert float(row["gin"]) == content["scores"]["gin"]["mean"]
+    assert row["seeds"] == "0 1"
     assert os.path.getsize("worst.png") > 0
 
 
+def test_rand_and_graphs_of_others_are_evaluated(capsys):
+    write_graphs("floors.jsonl", registry.make("s-f", 10))
+    for method in ("rand", "rand-sized", "floors.jsonl"):
+        split = "all" if method == "floors.jsonl" else "test"
+        run("evaluate", method, "--data", "floors.jsonl", "--split", split, "-o", f"{method}.json")
+    names = [f"{name}.json" for name in ("rand", "rand-sized", "floors.jsonl")]
+    capsys.readouterr()
+    run("table", *names)
+    lines = capsys.readouterr().out.strip().split("\n")
+    assert [line.split(" | ")[0] for line in lines[2:]] == [
+        "| rand",
+        "| rand-sized",
+        "| floors.jsonl",
+    ]
+    assert "| floors.jsonl | 0.000 | 0.000 |" in lines[-1]
+    run("table", *names, "--to", "latex", "-o", "table.tex")
+    with open("table.tex") as file:
+        assert file.readline() == "\\begin{tabular}{lrrrrrrr}\n"
+
+
 def test_bad_input_to_evaluate_is_refused(weights, capsys):
+    write_graphs("floors.jsonl", registry.make("s-f", 10))
+    write_graphs("others.jsonl", registry.make("s-f", 10, seed=1))
     for arguments, sentence in (
         (("fd5",), "unknown weights 'fd5'"),
         ((weights, "--data", "s-g"), "unknown data set 's-g'"),
         ((weights, "--num-graphs", 0), "--num-graphs must be at least 1, got 0"),
+        ((weights, "--seeds", -1), "--seeds must be at least 0, got -1"),
         ((weights, "-o", "scores.txt"), "the name ends in '.txt', expected .json"),
+        ((weights, "--row", "scores.txt"), "the name ends in '.txt', expected .csv"),
         ((weights, "--sheet", "nowhere/a.png"), "nowhere/a.png: cannot be written"),
         ((weights, "--diffusion-steps", 0), "diffusion steps must be in 1..500, got 0"),
+        (("rand",), "rand is not of one data set, expected --data with one"),
+        (("rand", "--data", "s-f", "--diffusion-steps", 3), "rand has no diffusion steps, got 3"),
+        (("rand", "--data", write("a.npz", "x")), "a.npz: not an npz file"),
+        (("floors.jsonl", "--data", "floors.jsonl"), "holds 10 graphs, expected one for 2 scenes"),
+        (
+            ("others.jsonl", "--data", "floors.jsonl", "--split", "all"),
+            "others.jsonl: graph 0 has other planes than its scene",
+        ),
     ):
         assert sentence in refusal(capsys, "evaluate", *arguments)
+
+
+def test_bad_input_to_table_is_refused(capsys):
+    for arguments, sentence in (
+        ((), "the number of results must be at least 1, got 0"),
+        ((write("a.json", {"method": "x"}),), "a.json: no result"),
+        ((write("b.json", "x"),), "b.json: not JSON"),
+        (("nothing.json",), "nothing.json: No such file"),
+        ((write("c.json", {}), "-o", "table.txt"), "table.txt: the name ends in '.txt'"),
+    ):
+        assert sentence in refusal(capsys, "table", *arguments)
 
 
 @pytest.fixture
@@ -485,7 +536,8 @@ def test_help_names_every_command(capsys, arguments):
     [
         (["complete"], ["planes", "--picture", "--samples", "--seed", "--weights"]),
         (["view"], ["--index"]),
-        (["evaluate"], ["--num-graphs", "--split", "--sheet"]),
+        (["evaluate"], ["--num-graphs", "--split", "--seeds", "--sheet"]),
+        (["table"], ["--to", "latex"]),
         (["train"], ["configs/", "CONFIG --help"]),
         (["train", CONFIGS / "test.py"], ["--steps", "--fill.layers", "--output"]),
         (["export"], ["--to", "spark-dsg", "--walls"]),

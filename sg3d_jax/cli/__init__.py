@@ -1,6 +1,6 @@
-"""The command line: `sg3d complete | view | export | train | evaluate | data`; commands delegate.
+"""The command line: `sg3d complete | view | export | train | evaluate | table | data`.
 
-A refusal is one sentence on stderr and exit code 2, with nothing written.
+Every command delegates. A refusal is one sentence on stderr and exit code 2, with nothing written.
 """
 
 import os
@@ -12,10 +12,11 @@ import tyro
 import sg3d_jax
 from sg3d_jax.cli import data
 from sg3d_jax.cli.files import export, view
-from sg3d_jax.cli.grow import complete, evaluate, train
+from sg3d_jax.cli.grow import complete, train
+from sg3d_jax.cli.scores import evaluate, table
 
 app = tyro.extras.SubcommandApp()
-for command in (complete, view, export, train, evaluate):
+for command in (complete, view, export, train, evaluate, table):
     app.command(command)
 app.command(data.app, name="data", help="Make, import, describe, check or draw data sets.")
 

@@ -59,6 +59,5 @@ def export(
     if walls != "edges" and to != "spark-dsg":
         raise ValueError(f"--walls {walls} is for --to spark-dsg, got --to {to}")
     graphs = read(source, index)
-    options = {"walls": walls} if to == "spark-dsg" else {}
-    write_graphs(output, graphs, to, **options)
+    write_graphs(output, graphs, to, walls=walls)
     print(f"{output}: {counted(len(graphs))} as {to}")

@@ -1,27 +1,20 @@
-"""`sg3d complete | train | evaluate`: growing scene graphs, and learning to."""
+"""`sg3d complete | train`: growing scene graphs, and learning to."""
 
 import dataclasses
-import json
-import os
 import runpy
 import sys
-import time
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from sg3d_jax.cli.arguments import (
     PICTURES,
-    OptionalOutput,
     Output,
     Positional,
     check_at_least,
     check_output,
 )
-from sg3d_jax.interop.files import replacing
 
 DEFAULT_WEIGHTS: Final = "fd4-s-f"
 GRAPHS: Final = (".json", ".jsonl")
@@ -101,64 +94,6 @@ def train(config: Positional[Path], overrides: tyro.conf.Suppress[tuple[str, ...
     print(f"{run(chosen.config, chosen.output)}: weights of the best validation FGW")
 
 
-def evaluate(
-    weights: Positional[str],
-    data: str | None = None,
-    split: Literal["train", "validation", "test", "all"] = "test",
-    seed: int = 0,
-    num_graphs: int | None = None,
-    diffusion_steps: int | None = None,
-    output: OptionalOutput = None,
-    sheet: Path | None = None,
-) -> None:
-    """Grow the scenes of a split from their planes and score them against the truth.
-
-    Args:
-      weights: weights by name, or an npz file.
-      data: a data set by name, or a file of graphs; by default what the weights were trained on.
-      split: which part of it, or all.
-      seed: of the samples.
-      num_graphs: only the first so many scenes of the split.
-      diffusion_steps: sampling steps of the topology.
-      output: also write the scores as JSON.
-      sheet: also draw the worst scenes, the truth above what was grown.
-    """
-    from sg3d_jax.flagg import sample
-    from sg3d_jax.metrics.report import score
-    from sg3d_jax.train.dataset import load_split
-
-    check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
-    check_at_least("--seed", seed, 0)
-    check_output(output, (".json",))
-    check_output(sheet, PICTURES)
-    trained = _trained(weights, diffusion_steps)
-    source = trained.config.data
-    if data is not None and data != source.name:
-        source = dataclasses.replace(source, name=data, num_graphs=None)
-    truth = load_split(source, split)[:num_graphs]
-    began = time.monotonic()
-    grown = sample.complete(trained.model, trained.params, truth, seed)
-    seconds = time.monotonic() - began
-    graphs = [completions[0].graph for completions in grown]
-    report = score(graphs, truth)
-    report["halted"] = sum(c[0].halt_reason == "HALTED" for c in grown) / len(grown)
-    about = {
-        "weights": weights,
-        "data": source.name,
-        "split": split,
-        "seed": seed,
-        "diffusion_steps": trained.config.fill.topology_steps,
-        "seconds_growing": round(seconds, 1),
-        "cores": os.cpu_count(),
-    }
-    _print_report(about, report)
-    if output is not None:
-        with replacing(output) as temporary:
-            Path(temporary).write_text(json.dumps({**about, **report}, indent=2) + "\n")
-    if sheet is not None:
-        _draw_worst(sheet, graphs, truth, report["fgw_per_graph"])
-
-
 def _trained(weights: str, diffusion_steps: int | None) -> Any:
     """Loads weights, with another number of sampling steps if one is asked for."""
     from sg3d_jax.train.weights import load_weights, with_diffusion_steps
@@ -197,34 +132,3 @@ def _say_what_was_grown(output: Path, graphs: list, extras: list[dict[str, Any]]
                 f"{extra['halt_reason']}, so its graph is incomplete",
                 file=sys.stderr,
             )
-
-
-def _print_report(about: dict[str, Any], report: dict[str, Any]) -> None:
-    """Shows the scores as a table."""
-    table = Table(title=f"{about['weights']} on {about['data']}, {about['split']} split")
-    table.add_column("score")
-    table.add_column("value", justify="right")
-    for name in ("graphs", "fgw", "gw", "w", "exact_structure", "halted"):
-        value = report[name]
-        table.add_row(name.replace("_", " "), str(value) if name == "graphs" else f"{value:.4f}")
-    error = report["node_count_error"]["absolute"]
-    for concept in ("total", *[name for name in error if name != "total"]):
-        if error[concept]:
-            table.add_row(f"node count error, {concept}", f"{error[concept]:.4f}")
-    for kind, seen in report["failures"].items():
-        table.add_row(f"graphs with {kind}", f"{seen['share']:.2%}")
-    table.add_row("seconds growing, compilation included", f"{about['seconds_growing']}")
-    Console().print(table)
-
-
-def _draw_worst(path: Path, graphs: list, truth: list, fgw: list[float], count: int = 20) -> None:
-    """Draws the scenes of the largest FGW, five in a row, the truth above what was grown."""
-    from sg3d_jax.viz.figure import contact_sheet
-
-    worst = sorted(range(len(fgw)), key=lambda index: -fgw[index])[:count]
-    rows = []
-    for first in range(0, len(worst), 5):
-        chosen = worst[first : first + 5]
-        rows.append(("truth", [truth[i] for i in chosen]))
-        rows.append(("grown", [graphs[i] for i in chosen]))
-    contact_sheet(rows, path)

@@ -17,7 +17,7 @@ from sg3d_jax.scene.graph import SceneGraph, undirected_edges
 class Remark(NamedTuple):
     """One thing that is unusual about some graphs."""
 
-    what: str  # such as "room without a plane"
+    what: str  # such as "empty room"
     nodes: int  # how often in all
     graphs: int  # in how many graphs
     first: int  # the first of them
@@ -28,7 +28,7 @@ def check(graphs: Sequence[SceneGraph]) -> list[Remark]:
 
     - a plane, room, floor or building "without" the parent that the graph's highest concept asks
       for, or "with several";
-    - a wall with fewer than two planes, a room or anything above without a child;
+    - a wall with fewer than two planes, an "empty" room, floor, building or city;
     - a node outside the largest piece that part-of edges hold together ("apart from the rest");
     - two planes with equal centroid, normal and width ("repeated plane").
     """
@@ -57,7 +57,7 @@ def oddities(graph: SceneGraph) -> Counter[str]:
     children = np.bincount(parent, minlength=len(label))
     found["wall with fewer than two planes"] += int((children[label == WALL] < 2).sum())
     for high in sorted(set(label[label >= ROOM].tolist())):
-        found[f"{CONCEPTS[high]} without a part"] += int((children[label == high] == 0).sum())
+        found[f"empty {CONCEPTS[high]}"] += int((children[label == high] == 0).sum())
     found["node apart from the rest"] += _num_apart(len(label), edges)
     planes = label == PLANE
     rows = np.column_stack([field[planes] for field in graph.nodes[1:4]])

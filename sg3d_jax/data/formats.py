@@ -91,7 +91,7 @@ def write_graphs(
     graphs: Sequence[SceneGraph],
     to: str = "json",
     extras: Sequence[Mapping[str, Any]] | None = None,
-    **options: Any,
+    walls: str = "edges",
 ) -> None:
     """Writes host graphs in a format; reading them back gives the same graphs, digit for digit.
 
@@ -101,7 +101,7 @@ def write_graphs(
       to: one of `FORMATS`.
       extras: what else the JSON document of each graph should say of it, such as `halt_reason`;
         readers ignore it.
-      **options: of `graph_to_spark_dsg`.
+      walls: for Spark-DSG, see `graph_to_spark_dsg`.
 
     Raises:
       ValueError: a graph breaks the data model, the suffix is not one of the format, or the file
@@ -117,6 +117,7 @@ def write_graphs(
         write_graphml(path, graphs[0])
     else:
         extras = [{}] * len(graphs) if extras is None else extras
+        options = {"walls": walls} if to == "spark-dsg" else {}
         documents = [
             _WRITERS[to](graph, **options, **extra)
             for graph, extra in zip(graphs, extras, strict=True)

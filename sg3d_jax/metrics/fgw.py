@@ -12,8 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Float
 
-from sg3d_jax.metrics.fgw_problem import ALPHA, PAPER_SCALE, Loss, Problem, Scalar, Scale, pose
+from sg3d_jax.metrics.fgw_problem import (
+    ALPHA,
+    PAPER_SCALE,
+    Loss,
+    Problem,
+    Scalar,
+    Scale,
+    one_hot,
+    pose,
+)
 from sg3d_jax.metrics.frank_wolfe import TOLERANCE, Search, from_product, minimise
 from sg3d_jax.scene.concepts import PART_OF, PLANE
 from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph
@@ -36,6 +46,8 @@ class FGW(NamedTuple):
     plan: HostOrDevice | None  # float[N, N], mass from generated (rows) to true nodes (columns)
     converged: HostOrDevice  # bool[], the solver met its tolerance
     iterations: HostOrDevice  # int32[]
+    matched: HostOrDevice | None = None  # float[C, C], nodes of each generated label (rows) that
+    # the plan puts on nodes of each true label; `fgw_pairs` has it in place of the plan
 
 
 @partial(jax.jit, static_argnames="loss")
@@ -81,6 +93,18 @@ def score_of(problem: Problem, found: Search, alpha: Scalar) -> FGW:
     )
 
 
+def matched_labels(
+    plan: Float[Array, "N N"], generated: SceneGraph, truth: SceneGraph
+) -> Float[Array, "C C"]:
+    """Returns how many nodes of each generated label a plan puts on nodes of each true label.
+
+    What it puts on dummies is not counted, so a row sums to at most the nodes of its label.
+    """
+    left, right = (one_hot(graph) * graph.nodes.mask[:, None] for graph in (generated, truth))
+    num_nodes = jnp.maximum(jnp.sum(generated.nodes.mask), jnp.sum(truth.nodes.mask))
+    return num_nodes * left.T @ plan @ right
+
+
 def fgw_pairs(
     generated: Sequence[SceneGraph],
     truth: Sequence[SceneGraph],
@@ -101,7 +125,8 @@ def fgw_pairs(
       loss: how two hop distances differ.
 
     Returns:
-      `FGW` of numpy arrays with one entry a pair, in the order given; `plan` is None.
+      `FGW` of numpy arrays with one entry a pair, in the order given; `matched` sums up the plan,
+      which is None.
 
     Raises:
       ValueError: the lists differ in length or are empty, or a graph exceeds the largest capacity.
@@ -161,7 +186,9 @@ def _fgw_stacked(
     """Scores stacked pairs one after another: no pair waits for the slowest of its stack."""
 
     def score(generated: SceneGraph, truth: SceneGraph) -> FGW:
-        return fgw(generated, truth, alpha, scale, loss)._replace(plan=None)
+        found = fgw(generated, truth, alpha, scale, loss)
+        matched = matched_labels(found.plan, generated, truth)
+        return found._replace(plan=None, matched=matched)
 
     def score_unless_empty(pair: Pair) -> FGW:
         nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)

@@ -1,13 +1,23 @@
 """One report on a list of generated graphs: distances to the truth, structure, failures."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from sg3d_jax.metrics.fgw import ALPHA, fgw_pairs
-from sg3d_jax.metrics.structure import exact_structure, failures, node_count_error
+from sg3d_jax.data.check import oddities
+from sg3d_jax.metrics.fgw import fgw_pairs
+from sg3d_jax.metrics.fgw_problem import ALPHA
+from sg3d_jax.metrics.mmd import mmd_scores
+from sg3d_jax.metrics.structure import (
+    exact_structure,
+    failures,
+    node_count_error,
+    num_duplicates,
+    num_forbidden_edges,
+)
+from sg3d_jax.scene.concepts import CONCEPTS, NUM_CONCEPTS, PLANE
 from sg3d_jax.scene.graph import SceneGraph
 
 
@@ -22,26 +32,110 @@ def score(
       alpha: weight of the structure in FGW.
 
     Returns:
-      A dictionary that JSON can hold: means of `fgw`, `gw` and `w`; the share of graphs whose
-      structure is exact; mean absolute and signed errors of node counts, a concept and in total;
-      for each kind of failure its `count` and the `share` of graphs that have it; and the FGW of
-      every pair.
+      A dictionary that JSON can hold: the paper's seven scores (means of `fgw`, `gw` and `w`, and
+      MMD^2 of `degree`, `spectrum`, `clustering` and `gin`); the share of graphs whose structure is
+      exact; shares of graphs that obey the hierarchy (`one_parent`, `layer_rule`, `connected`,
+      `no_duplicates`); `precision` and `recall` of each concept: of its generated nodes those that
+      the FGW plan puts on true nodes of the same concept, and of the true ones those that are met
+      so; mean absolute and signed errors of node counts, a concept and in total; for each kind of
+      failure its `count` and the `share` of graphs that have it; and the FGW of every pair.
 
     Raises:
       ValueError: the lists differ in length or are empty, or a graph is too large.
+
+    Source: paper, Sec. "Metrics".
+    Differs: all but the seven scores is ours.
     """
     scores = fgw_pairs(generated, truth, alpha)
+    mmd = mmd_scores(generated, truth)
     pairs = list(zip(generated, truth, strict=True))
     return {
         "graphs": len(pairs),
         "fgw": float(np.mean(scores.value)),
         "gw": float(np.mean(scores.gw)),
         "w": float(np.mean(scores.w)),
+        **{name: mmd[name] for name in ("degree", "spectrum", "clustering", "gin")},
         "exact_structure": float(np.mean([exact_structure(*pair) for pair in pairs])),
+        **_rules(generated),
+        **_levels(generated, truth, np.asarray(scores.matched)),
         "node_count_error": _node_count_errors(pairs),
         "failures": _failure_histogram(pairs),
         "fgw_per_graph": np.asarray(scores.value).tolist(),
     }
+
+
+def summary(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float | None]]:
+    """Sums up the reports of several seeds.
+
+    Args:
+      runs: what `score` returned, one a seed; further numbers in a report are summed up, too.
+
+    Returns:
+      `mean` and `sd` over the seeds of every number in the reports, those of node counts under
+      names such as "node count error, wall"; the sd of a single seed is None.
+    """
+    columns = [dict(_numbers(run)) for run in runs]
+    shared = [name for name in columns[0] if all(name in column for column in columns)]
+    values = {name: np.array([column[name] for column in columns]) for name in shared}
+    return {
+        name: {
+            "mean": float(column.mean()),
+            "sd": float(column.std(ddof=1)) if len(column) > 1 else None,
+        }
+        for name, column in values.items()
+    }
+
+
+def _numbers(run: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """Yields the numbers of a report with their names."""
+    for name, value in run.items():
+        if isinstance(value, (int, float)) and name != "graphs":
+            yield name.replace("_", " "), float(value)
+    columns = {"node count error": run["node_count_error"]["absolute"]}
+    columns |= {name: run[name] for name in ("precision", "recall")}
+    for name, column in columns.items():
+        for concept, value in column.items():
+            yield f"{name}, {concept}", value
+
+
+def _rules(generated: Sequence[SceneGraph]) -> dict[str, float]:
+    """Returns the share of graphs that obey each rule of the hierarchy."""
+    odd = [oddities(graph) for graph in generated]
+    parents = [any(" without a " in kind or " several " in kind for kind in of) for of in odd]
+    broken = {
+        "one_parent": parents,
+        "layer_rule": [num_forbidden_edges(graph) > 0 for graph in generated],
+        "connected": ["node apart from the rest" in of for of in odd],
+        "no_duplicates": [num_duplicates(graph) > 0 for graph in generated],
+    }
+    return {rule: 1 - float(np.mean(graphs)) for rule, graphs in broken.items()}
+
+
+def _levels(
+    generated: Sequence[SceneGraph], truth: Sequence[SceneGraph], matched: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Returns precision and recall of the concepts that occur; planes are given, so left out.
+
+    Args:
+      generated: host graphs.
+      truth: host graphs.
+      matched: float[B, C, C], see `FGW`.
+    """
+    made, true = (_label_counts(graphs) for graphs in (generated, truth))
+    met = np.einsum("bcc->c", matched)
+    return {
+        name: {
+            CONCEPTS[concept]: float(met[concept] / count[concept])
+            for concept in range(PLANE + 1, NUM_CONCEPTS)
+            if count[concept]
+        }
+        for name, count in (("precision", made), ("recall", true))
+    }
+
+
+def _label_counts(graphs: Sequence[SceneGraph]) -> np.ndarray:
+    labels = np.concatenate([graph.nodes.label for graph in graphs])
+    return np.bincount(labels, minlength=NUM_CONCEPTS)
 
 
 def _node_count_errors(

@@ -87,7 +87,7 @@ def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
         found[f"extra {name}"] += max(0, surplus[name])
         found[f"missing {name}"] += max(0, -surplus[name])
     found.update(_parent_failures(made, true))
-    found["edge against the rules"] += _num_forbidden_edges(generated)
+    found["edge against the rules"] += num_forbidden_edges(generated)
     if not found.total() and not exact_structure(generated, truth):
         found["wrong grouping"] = 1
     return +found
@@ -210,7 +210,17 @@ def _num_parents(graph: Hierarchy, child: int, parent: int) -> list[int]:
     ]
 
 
-def _num_forbidden_edges(graph: SceneGraph) -> int:
+def num_forbidden_edges(graph: SceneGraph) -> int:
     """Counts the part-of edges between concepts that are not part of each other."""
     ends = np.sort(np.asarray(graph.nodes.label)[undirected_edges(graph, PART_OF)], axis=1)
     return sum((child, parent) not in PART_OF_RULES for child, parent in ends.tolist())
+
+
+def num_duplicates(graph: SceneGraph) -> int:
+    """Counts the nodes that repeat another one: the same concept over the same parts."""
+    label = np.asarray(graph.nodes.label).tolist()
+    parts: dict[int, set[int]] = {}
+    for pair in undirected_edges(graph, PART_OF).tolist():
+        child, parent = sorted(pair, key=label.__getitem__)
+        parts.setdefault(parent, set()).add(child)
+    return len(parts) - len({(label[node], frozenset(of)) for node, of in parts.items()})

@@ -77,10 +77,9 @@ def _markdown(data: str, rows: Sequence[Row]) -> str:
 
 def _latex(data: str, rows: Sequence[Row]) -> str:
     """Returns a tabular that needs the package booktabs."""
-    lines = [(_escaped(data), *HEADINGS)]
-    lines += [
-        (_escaped(r.method), *(cell.replace("±", r"$\pm$") for cell in r.cells)) for r in rows
-    ]
+    lines = [[_escaped(data), *HEADINGS]]
+    for row in rows:
+        lines.append([_escaped(row.method), *(c.replace("±", r"$\pm$") for c in row.cells)])
     head, *body = (" & ".join(line) + r" \\" for line in lines)
     columns = "l" + "r" * len(HEADINGS)
     begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule"]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 from sg3d_jax.fill.fd4 import FD4Config
@@ -16,6 +17,11 @@ class DataConfig:
     num_graphs: int | None = None  # None: as many as the paper has
     seed: int = 0  # of the generator
     split_seed: int = 0
+
+    @property
+    def label(self) -> str:
+        """The name of the data set, also where it is a file such as runs/p-f.npz."""
+        return Path(self.name).stem
 
 
 @dataclasses.dataclass(frozen=True)

@@ -45,12 +45,11 @@ def test_synthetic_floors_are_as_they_should_be(name):
         ),
         (
             scene([*LABELS, ROOM], [*PART_OF_PAIRS, (NUM_PLANES + 4, FLOOR_NODE)]),
-            {"room without a part": 1},
+            {"empty room": 1},
         ),
         (
             scene([*LABELS, BUILDING]),
-            {"floor without a building": 1, "building without a part": 1}
-            | {"node apart from the rest": 1},
+            {"floor without a building": 1, "empty building": 1} | {"node apart from the rest": 1},
         ),
         (
             scene([*LABELS, FLOOR], [*PART_OF_PAIRS, (ROOM_NODE, NUM_PLANES + 4)]),

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from sg3d_jax.metrics.fgw import fgw_pairs
-from sg3d_jax.metrics.report import score
-from sg3d_jax.scene.concepts import FLOOR, PLANE, ROOM
+from sg3d_jax.metrics.mmd import mmd_scores
+from sg3d_jax.metrics.paper import SCORES
+from sg3d_jax.metrics.report import score, summary
+from sg3d_jax.scene.concepts import FLOOR, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph
+from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS, two_rooms
 
 
 def room_of_three_planes(floor: bool):
@@ -35,3 +38,72 @@ def test_report__sums_up_the_pairs_and_survives_json():
     np.testing.assert_allclose(report["fgw_per_graph"], expected.value)
     assert report["fgw"] == pytest.approx(expected.value[0] / 4)
     assert report["fgw"] == pytest.approx((report["gw"] + report["w"]) / 2)
+
+
+def test_report__has_the_seven_scores_of_the_paper():
+    truth = [two_rooms(), room_of_three_planes(floor=True)]
+    generated = [two_rooms(), room_of_three_planes(floor=False)]
+    report = score(generated, truth)
+    assert {*SCORES} <= {*report}
+    for name, value in mmd_scores(generated, truth).items():
+        assert report[name] == pytest.approx(value)
+
+
+def changed(label=tuple(LABELS), part_of=tuple(PART_OF_PAIRS)):
+    """Returns the two rooms with further nodes or other edges; new nodes lie at the origin."""
+    nodes, more = two_rooms().nodes, len(label) - len(LABELS)
+    position, normal = (
+        np.pad(field, [(0, more), (0, 0)]) for field in (nodes.position, nodes.normal)
+    )
+    return make_graph(label, position, normal, np.pad(nodes.width, (0, more)), part_of)
+
+
+FLOOR_NODE = len(LABELS) - 1
+CASES = {
+    "sound": (changed(), set()),
+    "two floors": (
+        changed([*LABELS, FLOOR], [*PART_OF_PAIRS, (NUM_PLANES + 1, FLOOR_NODE + 1)]),
+        {"one_parent"},
+    ),
+    "no room": (
+        changed(part_of=PART_OF_PAIRS[:2] + PART_OF_PAIRS[3:]),
+        {"one_parent", "connected"},
+    ),
+    "wall of a floor": (
+        changed(part_of=[*PART_OF_PAIRS, (NUM_PLANES, FLOOR_NODE)]),
+        {"layer_rule"},
+    ),
+    "second wall": (
+        changed([*LABELS, WALL], [*PART_OF_PAIRS, (1, FLOOR_NODE + 1), (4, FLOOR_NODE + 1)]),
+        {"no_duplicates"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("graph", "broken"), CASES.values(), ids=CASES.keys())
+def test_rules__are_broken_one_by_one(graph, broken):
+    report = score([graph], [two_rooms()])
+    rules = ("one_parent", "layer_rule", "connected", "no_duplicates")
+    assert {rule for rule in rules if report[rule] == 0} == broken
+    assert all(report[rule] == 1 for rule in rules if rule not in broken)
+
+
+def test_levels__a_missing_node_costs_recall_and_a_second_one_precision():
+    fewer = score([room_of_three_planes(floor=False)], [room_of_three_planes(floor=True)])
+    assert fewer["precision"] == {"room": pytest.approx(1)}
+    assert fewer["recall"] == {"room": pytest.approx(1), "floor": pytest.approx(0)}
+    more = score([CASES["second wall"][0]], [two_rooms()])
+    assert more["precision"]["wall"] == pytest.approx(0.5)
+    assert more["recall"]["wall"] == pytest.approx(1)
+    assert more["precision"]["room"] == pytest.approx(1)
+
+
+def test_summary__has_mean_and_deviation_of_every_number():
+    truth = [two_rooms()] * 2
+    runs = [score([two_rooms(), graph], truth) for graph in (two_rooms(), CASES["second wall"][0])]
+    summed = summary([run | {"halted": None} for run in runs])
+    assert summed["exact structure"] == {"mean": 0.75, "sd": pytest.approx(0.5**0.5 / 2)}
+    assert summed["node count error, wall"]["mean"] == 0.25
+    assert summed["precision, wall"]["mean"] == pytest.approx((1 + 2 / 3) / 2)
+    assert "halted" not in summed
+    assert summary(runs[:1])["fgw"] == {"mean": runs[0]["fgw"], "sd": None}

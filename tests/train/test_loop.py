@@ -9,6 +9,7 @@ import optax
 import pytest
 
 from sg3d_jax.flagg.sample import complete
+from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.train import checkpoint, loop
 from sg3d_jax.train.config import to_json
 from sg3d_jax.train.loop import bucket_of_call, prepare, train, validate
@@ -161,8 +162,8 @@ def test_a_loss_that_is_not_finite_stops_the_run(programs, tmp_path, monkeypatch
 
 
 def test_a_score_that_is_not_finite_is_the_worst(trained, monkeypatch):
-    names = ("fgw", "gw", "w", "exact_structure")
-    monkeypatch.setattr(loop, "score", lambda *graphs: dict.fromkeys(names, np.nan))
+    nothing = FGW(np.nan, np.nan, np.nan, None, False, 0)
+    monkeypatch.setattr(loop, "fgw_pairs", lambda *graphs: nothing)
     assert validate(trained.run, load_weights(trained.directory / "weights.npz").params)[
         "fgw"
     ] == float("inf")
