@@ -145,7 +145,8 @@ def round_to_feasible(plan: Float[Array, "N N"], mass: Float[Array, " N"]) -> Fl
     """
     plan = plan * jnp.minimum(_ratio(mass, jnp.sum(plan, axis=1)), 1.0)[:, None]
     plan = plan * jnp.minimum(_ratio(mass, jnp.sum(plan, axis=0)), 1.0)[None, :]
-    rows, columns = mass - jnp.sum(plan, axis=1), mass - jnp.sum(plan, axis=0)
+    # Rounding errors below zero would make the sum of the missing mass a poor divisor.
+    rows, columns = (jnp.maximum(mass - jnp.sum(plan, axis=axis), 0.0) for axis in (1, 0))
     return plan + _ratio(rows, jnp.sum(rows))[:, None] * columns[None, :]
 
 

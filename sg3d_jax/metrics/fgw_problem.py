@@ -73,8 +73,8 @@ def pose(
       truth: padded to the same capacity. Its planes set the origin of positions, and their unit.
       scale: the units of positions and hops.
       label: distributions over the concepts that replace the generated labels.
-      softening: what is added to squared feature distances, so that they can be differentiated
-        twice where they vanish.
+      softening: what is added to squared feature distances, which makes them smooth where they
+        vanish.
 
     Returns:
       The problem, in the float type of the positions.
