@@ -9,7 +9,10 @@ if TYPE_CHECKING:
     from sg3d_jax.data.splits import split
     from sg3d_jax.flagg.sample import Completion, Grown, complete, grow_from_planes
     from sg3d_jax.interop.networkx import from_networkx, to_networkx
+    from sg3d_jax.metrics.entropic import entropic_fgw
     from sg3d_jax.metrics.fgw import FGW, fgw, fgw_pairs
+    from sg3d_jax.metrics.fgw_loss import fgw_loss
+    from sg3d_jax.metrics.mmd import mmd_scores
     from sg3d_jax.metrics.report import score
     from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of
     from sg3d_jax.scene.padding import pad, stack, unpad
@@ -22,13 +25,16 @@ __all__ = [
     "Grown",
     "SceneGraph",
     "complete",
+    "entropic_fgw",
     "fgw",
+    "fgw_loss",
     "fgw_pairs",
     "from_networkx",
     "grow_from_planes",
     "load_weights",
     "make_dataset",
     "make_graph",
+    "mmd_scores",
     "pad",
     "planes_of",
     "read_graphs",
@@ -49,7 +55,10 @@ _NAMES = {
     "data.splits": ("split",),
     "flagg.sample": ("Completion", "Grown", "complete", "grow_from_planes"),
     "interop.networkx": ("from_networkx", "to_networkx"),
+    "metrics.entropic": ("entropic_fgw",),
     "metrics.fgw": ("FGW", "fgw", "fgw_pairs"),
+    "metrics.fgw_loss": ("fgw_loss",),
+    "metrics.mmd": ("mmd_scores",),
     "metrics.report": ("score",),
     "scene.graph": ("SceneGraph", "make_graph", "planes_of"),
     "scene.padding": ("pad", "stack", "unpad"),
