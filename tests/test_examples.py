@@ -1,4 +1,7 @@
-"""The examples are scenes that anyone can complete."""
+"""The examples are scenes that anyone can complete, and scripts that anyone can run."""
+
+import importlib.util
+import re
 
 import numpy as np
 import pytest
@@ -23,3 +26,14 @@ def test_every_example_is_read_and_sound(path):
         validate_planes(*scene.nodes[1:4], str(path))
         assert growth_capacity(len(scene.nodes.label)).nodes <= 128
         np.testing.assert_allclose(np.linalg.norm(scene.nodes.normal, axis=1), 1, atol=1e-6)
+
+
+def test_the_descent_on_fgw_moves_centroids_back_and_draws_it(tmp_path, monkeypatch, capsys):
+    path = ROOT / "examples" / "fgw_descent.py"
+    script = importlib.util.module_from_spec(importlib.util.spec_from_file_location("d", path))
+    script.__spec__.loader.exec_module(script)
+    monkeypatch.setattr(script, "STEPS", 60)
+    script.main(str(tmp_path / "descent.png"))
+    before, after = re.search(r"mean error (\S+) -> (\S+) m", capsys.readouterr().out).groups()
+    assert float(after) < float(before) / 2
+    assert (tmp_path / "descent.png").stat().st_size > 0

@@ -27,7 +27,7 @@ def check(graphs: Sequence[SceneGraph]) -> list[Remark]:
     """Returns what is unusual, the most frequent first; empty for a clean data set.
 
     - a plane, room, floor or building "without" the parent that the graph's highest concept asks
-      for, or "with several";
+      for, or "with more than one";
     - a wall with fewer than two planes, an "empty" room, floor, building or city;
     - a node outside the largest piece that part-of edges hold together ("apart from the rest");
     - two planes with equal centroid, normal and width ("repeated plane").
@@ -53,7 +53,9 @@ def oddities(graph: SceneGraph) -> Counter[str]:
             of_kind = (label[child] == low) & (label[parent] == high)
             parents = np.bincount(child[of_kind], minlength=len(label))[label == low]
             found[f"{CONCEPTS[low]} without a {CONCEPTS[high]}"] += int((parents == 0).sum())
-            found[f"{CONCEPTS[low]} with several {CONCEPTS[high]}s"] += int((parents > 1).sum())
+            found[f"{CONCEPTS[low]} with more than one {CONCEPTS[high]}"] += int(
+                (parents > 1).sum()
+            )
     children = np.bincount(parent, minlength=len(label))
     found["wall with fewer than two planes"] += int((children[label == WALL] < 2).sum())
     for high in sorted(set(label[label >= ROOM].tolist())):

@@ -101,7 +101,7 @@ def _numbers(run: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 def _rules(generated: Sequence[SceneGraph]) -> dict[str, float]:
     """Returns the share of graphs that obey each rule of the hierarchy."""
     odd = [oddities(graph) for graph in generated]
-    parents = [any(" without a " in kind or " several " in kind for kind in of) for of in odd]
+    parents = [any(" without a " in kind or " more than one " in kind for kind in of) for of in odd]
     broken = {
         "one_parent": parents,
         "layer_rule": [num_forbidden_edges(graph) > 0 for graph in generated],

@@ -71,7 +71,7 @@ def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
     - `without planes`.
 
     Floors, buildings and cities (and planes) are `missing` or `extra` by their number. A node may
-    lie `without` its parent or `with several`. What obeys all this and is still not right is a
+    lie `without` its parent or `with more than one`. What obeys all this and is still not right is a
     `wrong grouping`.
 
     Returns:
@@ -193,7 +193,7 @@ def _parent_failures(made: Hierarchy, true: Hierarchy) -> Counter[str]:
     found: Counter[str] = Counter()
     for child, parent in SINGLE_PARENT:
         usual, numbers = _num_parents(true, child, parent), _num_parents(made, child, parent)
-        several = f"{CONCEPTS[child]} with several {CONCEPTS[parent]}s"
+        several = f"{CONCEPTS[child]} with more than one {CONCEPTS[parent]}"
         found[several] = sum(number > max([1, *usual]) for number in numbers)
         # A plane without its room shows in the room, which is missing or has wrong planes.
         if child != PLANE and min(usual, default=0) > 0:

@@ -37,7 +37,7 @@ def test_synthetic_floors_are_as_they_should_be(name):
             scene(part_of=without((0, ROOM_NODE))),
             {"plane without a room": 1, "node apart from the rest": 1},
         ),
-        (scene(part_of=[*PART_OF_PAIRS, (0, ROOM_NODE + 1)]), {"plane with several rooms": 1}),
+        (scene(part_of=[*PART_OF_PAIRS, (0, ROOM_NODE + 1)]), {"plane with more than one room": 1}),
         (scene(part_of=without((1, WALL_NODE))), {"wall with fewer than two planes": 1}),
         (
             scene([*LABELS, WALL]),
@@ -53,7 +53,7 @@ def test_synthetic_floors_are_as_they_should_be(name):
         ),
         (
             scene([*LABELS, FLOOR], [*PART_OF_PAIRS, (ROOM_NODE, NUM_PLANES + 4)]),
-            {"room with several floors": 1},
+            {"room with more than one floor": 1},
         ),
         (scene(position=np.zeros((len(LABELS), 3))), {"repeated plane": NUM_PLANES - 1}),
         (

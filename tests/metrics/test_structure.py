@@ -57,7 +57,7 @@ CASES = {
     "a plane in two rooms": (
         LABEL,
         [*EDGES, (3, 7)],
-        {"room with wrong planes": 1, "plane with several rooms": 1},
+        {"room with wrong planes": 1, "plane with more than one room": 1},
     ),
     "a plane outside its room": (
         LABEL,
@@ -68,7 +68,7 @@ CASES = {
     "extra floor": (
         [*LABEL, FLOOR],
         [*EDGES, (8, 10)],
-        {"extra floor": 1, "room with several floors": 1},
+        {"extra floor": 1, "room with more than one floor": 1},
     ),
     "missing floor": (LABEL[:-1], EDGES[:-2], {"missing floor": 1, "room without floor": 2}),
     "edge against the rules": (LABEL, [*EDGES, (6, 7)], {"edge against the rules": 1}),
