@@ -88,6 +88,19 @@ def write_documents(path: str | Path, documents: Iterable[Mapping[str, Any]]) ->
         temporary.write_text("".join(lines), encoding="utf-8")
 
 
+def field(record: Any, key: str, where: str) -> Any:
+    """Returns what an object of a parsed document has under a key, or refuses.
+
+    Raises:
+      ValueError: it is no object, or lacks the key.
+    """
+    if not isinstance(record, dict):
+        raise ValueError(f"{where} is {record!r:.40}, expected an object with {key!r}")
+    if key not in record:
+        raise ValueError(f"{where} lacks {key!r}, expected an object with it")
+    return record[key]
+
+
 def vector(value: Any, where: str) -> list[float]:
     """Returns three numbers of a parsed document, or refuses.
 

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.interop.files import number
+from sg3d_jax.interop.files import field, number
 from sg3d_jax.scene.concepts import FLOOR, PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.validate import PLANE_UNIT_TOLERANCE, validate_graph, validate_planes
@@ -89,7 +89,7 @@ def graph_from_messages(messages: Any, where: str = "messages") -> SceneGraph:
     Raises:
       ValueError: one sentence that names the message, the field and what was expected.
     """
-    planes, row_of_id = _planes(_field(messages, "planes", where), f"{where}: planes")
+    planes, row_of_id = _planes(field(messages, "planes", where), f"{where}: planes")
     walls = _parts(messages, "walls", "wall_center", row_of_id, where)
     rooms = _parts(messages, "rooms", "room_center", row_of_id, where)
     floors = _floors(messages.get("floors") or [], f"{where}: floors")
@@ -144,7 +144,7 @@ def graph_from_reasoning(message: Any, planes: Any, where: str = "message") -> S
     rooms: dict[int, _Part] = {}
     for index, node in enumerate(_list(message, "nodes", where)):
         here = f"{where}: nodes[{index}]"
-        kind, name = _field(node, "type", here), _id(node, "id", here)
+        kind, name = field(node, "type", here), _id(node, "id", here)
         if kind not in NODE_TYPES.values():
             names = " or ".join(NODE_TYPES.values())
             raise ValueError(f"{here}.type is {kind!r:.40}, expected {names}")
@@ -243,7 +243,7 @@ def _parts(
     parts, label = [], WALL if key == "walls" else ROOM
     for index, record in enumerate(_list(messages[key], key, f"{where}: {key}")):
         here = f"{where}: {key}.{key}[{index}]"
-        pose = _field(_field(record, centre, here), "position", f"{here}.{centre}")
+        pose = field(field(record, centre, here), "position", f"{here}.{centre}")
         rows: dict[int, None] = {}  # `planes` repeats what is in the other two
         for lists in (*AXES, "planes"):
             for place, plane in enumerate(_list(record, lists, here) if lists in record else []):
@@ -260,7 +260,7 @@ def _floors(records: Any, where: str) -> list[_Part]:
     floors = []
     for index, record in enumerate(records):
         here = f"{where}[{index}]"
-        centre = _field(_field(record, "floor_center", here), "position", f"{here}.floor_center")
+        centre = field(field(record, "floor_center", here), "position", f"{here}.floor_center")
         if record.get("state") != ON_STAIRS:
             floors.append(_Part(FLOOR, _point(centre, f"{here}.floor_center.position"), []))
     heights = sorted(floor.position[2] for floor in floors)
@@ -307,7 +307,7 @@ def _geometry(node: dict[str, Any], where: str) -> list[float]:
     """Returns the position of a room of a Graph."""
     for index, attribute in enumerate(_list(node, "attributes", where)):
         here = f"{where}.attributes[{index}]"
-        if _field(attribute, "name", here) == GEOMETRY:
+        if field(attribute, "name", here) == GEOMETRY:
             values = _list(attribute, "fl_value", here)
             if len(values) != 3:
                 raise ValueError(f"{here}.fl_value is {values!r:.40}, expected three numbers")
@@ -321,23 +321,15 @@ def _known(name: int, rows: Mapping[int, Any], where: str, expected: str) -> Any
     return rows[name]
 
 
-def _field(record: Any, key: str, where: str) -> Any:
-    if not isinstance(record, dict):
-        raise ValueError(f"{where} is {record!r:.40}, expected an object with {key!r}")
-    if key not in record:
-        raise ValueError(f"{where} lacks {key!r}, expected an object with it")
-    return record[key]
-
-
 def _list(record: Any, key: str, where: str) -> list[Any]:
-    value = _field(record, key, where)
+    value = field(record, key, where)
     if not isinstance(value, list):
         raise ValueError(f"{where}: {key} is {value!r:.40}, expected a list")
     return value
 
 
 def _id(record: Any, key: str, where: str) -> int:
-    value = _field(record, key, where)
+    value = field(record, key, where)
     if isinstance(value, bool) or not isinstance(value, int):
         raise ValueError(f"{where}.{key} is {value!r:.40}, expected an integer")
     return value
@@ -348,7 +340,7 @@ def _point(record: Any, where: str) -> list[float]:
 
 
 def _finite(record: Any, key: str, where: str) -> float:
-    value = number(_field(record, key, where), f"{where}.{key}")
+    value = number(field(record, key, where), f"{where}.{key}")
     if not np.isfinite(value):
         raise ValueError(f"{where}.{key} is {value}, expected a finite number")
     return value

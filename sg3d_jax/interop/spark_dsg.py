@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.interop.files import number, vector
+from sg3d_jax.interop.files import field, number, vector
 from sg3d_jax.scene.concepts import CONCEPTS, PART_OF, PLANE, PROXIMITY, RELATIONS, ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.validate import validate_graph
@@ -280,28 +280,20 @@ def _text(key: tuple[int, int]) -> str:
 
 
 def _integer(record: Any, key: str, where: str) -> int:
-    value = _field(record, key, where)
+    value = field(record, key, where)
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**64:
         raise ValueError(f"{where}.{key} is {value!r:.40}, expected an integer below 2^64")
     return value
 
 
-def _field(record: Any, key: str, where: str) -> Any:
-    if not isinstance(record, dict):
-        raise ValueError(f"{where} is {record!r:.40}, expected an object with {key!r}")
-    if key not in record:
-        raise ValueError(f"{where} lacks {key!r}, expected an object with it")
-    return record[key]
-
-
 def _node(record: Any, layers: Mapping[tuple[int, int], str], where: str) -> _Node:
     label = _concept(record, layers, where)
-    attributes, inside = _field(record, "attributes", where), f"{where}.attributes"
-    kind = _field(attributes, "type", inside)
+    attributes, inside = field(record, "attributes", where), f"{where}.attributes"
+    kind = field(attributes, "type", inside)
     if kind not in ATTRIBUTES:
         known = ", ".join(ATTRIBUTES)
         raise ValueError(f"{inside}.type is {kind!r:.40}, expected one of {known}")
-    position = vector(_field(attributes, "position", inside), f"{inside}.position")
+    position = vector(field(attributes, "position", inside), f"{inside}.position")
     metadata, inside = _metadata(attributes, inside), f"{inside}.metadata"
     normal, width, walls = (metadata.get(name) for name in ("normal", "width", "walls"))
     if not isinstance(walls, (list, type(None))):
@@ -352,7 +344,7 @@ def _edge(
         if name not in row_of_id:
             raise ValueError(f"{where}.{end} is {name}, expected the id of a node")
         pair.append(row_of_id[name])
-    info = _field(record, "info", where)
+    info = field(record, "info", where)
     if not isinstance(info, dict):
         raise ValueError(f"{where}.info is {info!r:.40}, expected an object")
     within = nodes[pair[0]].label == nodes[pair[1]].label

@@ -71,8 +71,8 @@ def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
     - `without planes`.
 
     Floors, buildings and cities (and planes) are `missing` or `extra` by their number. A node may
-    lie `without` its parent or `with more than one`. What obeys all this and is still not right is a
-    `wrong grouping`.
+    lie `without` its parent or `with more than one`. What obeys all this and is still not right is
+    a `wrong grouping`.
 
     Returns:
       Kinds and how often each occurs; empty if and only if `exact_structure`.
