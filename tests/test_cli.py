@@ -452,7 +452,12 @@ def test_bad_input_to_evaluate_is_refused(weights, capsys):
 def test_bad_input_to_table_is_refused(capsys):
     for arguments, sentence in (
         ((), "the number of results must be at least 1, got 0"),
-        ((write("a.json", {"method": "x"}),), "a.json: no result"),
+        ((write("a.json", {"method": "x"}),), "a.json: holds no result"),
+        ((write_lines("a.jsonl", [{}, {}]),), "a.jsonl: holds no result"),
+        (
+            (write("d.json", {"method": "x", "data": "y", "scores": {"fgw": 3}}),),
+            "d.json: scores.fgw has no mean",
+        ),
         ((write("b.json", "x"),), "b.json: not JSON"),
         (("nothing.json",), "nothing.json: No such file"),
         ((write("c.json", {}), "-o", "table.txt"), "table.txt: the name ends in '.txt'"),

@@ -111,10 +111,14 @@ def table(
 
 def _result(path: Path) -> dict[str, Any]:
     """Reads a result file."""
-    ((where, document),) = read_documents(path)
+    expected = "a file that `sg3d evaluate -o` wrote"
+    (where, document), *more = read_documents(path)
     scores = document.get("scores") if isinstance(document, dict) else None
-    if not isinstance(scores, dict) or not {"method", "data"} <= document.keys():
-        raise ValueError(f"{where}: no result, expected a file that `sg3d evaluate -o` wrote")
+    if more or not isinstance(scores, dict) or not {"method", "data"} <= document.keys():
+        raise ValueError(f"{path}: holds no result, expected {expected}")
+    for name, value in scores.items():
+        if not isinstance(value, dict) or not isinstance(value.get("mean"), (int, float)):
+            raise ValueError(f"{where}: scores.{name:.40} has no mean, expected {expected}")
     return document
 
 
