@@ -310,12 +310,9 @@ def test_walls_may_be_exported_as_metadata():
 
 
 def test_bad_input_to_export_is_refused(capsys):
-    scene = write("a.json", SCENES[0])
+    scene, scenes = write("a.json", SCENES[0]), write_lines("a.jsonl", SCENES)
     for arguments, sentence in (
-        (
-            ("s-f", "-o", "b.json"),
-            "b.json: holds one graph, expected the name of a .jsonl file for 3000",
-        ),
+        ((scenes, "-o", "b.json"), "b.json: holds one graph, expected the name of a .jsonl file"),
         ((scene, "-o", "b.npz"), "b.npz: the name ends in '.npz', expected .json or .jsonl"),
         ((scene, "-o", "b.json", "--index", 1), "a.json: --index must be in 0..0, got 1"),
         ((scene, "-o", "b.json", "--walls", "metadata"), "--walls metadata is for --to spark-dsg"),
@@ -406,7 +403,7 @@ def test_weights_are_evaluated(weights, capsys):
 
 
 def test_rand_and_graphs_of_others_are_evaluated(capsys):
-    write_graphs("floors.jsonl", registry.make("s-f", 10))
+    write_graphs("floors.jsonl", small_floors()[:10])
     for method in ("rand", "rand-sized", "floors.jsonl"):
         split = "all" if method == "floors.jsonl" else "test"
         run("evaluate", method, "--data", "floors.jsonl", "--split", split, "-o", f"{method}.json")
