@@ -71,7 +71,7 @@ _LETTERS: Final[Mapping[str, str]] = MappingProxyType(
     | {"u1": "B", "u2": "H", "u4": "I", "u8": "Q"}
 )
 _ORDERS: Final[Mapping[str, str]] = MappingProxyType({"<": "<", ">": ">", "|": "<"})
-_OTHER_ZIP_ERRORS: Final = (EOFError, OSError, ValueError, NotImplementedError, RuntimeError)
+_OTHER_ZIP_ERRORS: Final = (EOFError, OSError, ValueError, RuntimeError)
 MAX_ITEMS: Final = 64  # of an array that is read; two points have six
 _KEPT: Final = ("_node", "_adj")
 
