@@ -25,11 +25,9 @@ ONE_A_FILE: Final = ("graphml",)
 def is_same(one: SceneGraph, other: SceneGraph) -> bool:
     """Returns whether all fields are equal, bit for bit, and so are the edges."""
     fields = zip(one.nodes, other.nodes, strict=True)
-    edges = (
-        [undirected_edges(g, relation) for g in (one, other)] for relation in (PART_OF, PROXIMITY)
-    )
     return all(left.tobytes() == right.tobytes() for left, right in fields) and all(
-        np.array_equal(*pair) for pair in edges
+        np.array_equal(undirected_edges(one, relation), undirected_edges(other, relation))
+        for relation in (PART_OF, PROXIMITY)
     )
 
 
