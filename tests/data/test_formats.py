@@ -153,7 +153,7 @@ def originals(tmp_path_factory):
 @given(data=st.data())
 @settings(
     deadline=None,
-    max_examples=200,
+    max_examples=80,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_no_corruption_of_bytes_gives_a_traceback_or_a_broken_graph(data, originals, tmp_path):

@@ -27,7 +27,7 @@ def softened(graph: SceneGraph, seed: int) -> jax.Array:
 
 
 @given(st.integers(0, NUM_PAIRS - 1), st.sampled_from(["absolute", "squared"]), st.integers(0, 99))
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=8)
 def test_gradients__are_those_of_finite_differences(index, loss, seed):
     with jax.enable_x64(True):
         generated, truth = (
