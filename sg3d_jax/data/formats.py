@@ -109,11 +109,12 @@ def write_graphs(
     """
     path = Path(path)
     check_writable(path, len(graphs), to)
-    for index, graph in enumerate(graphs):
-        validate_graph(graph, f"{path}: graph {index}", rules=False)
     if to == "npz":
         schema.save(path, graphs, {}, rules=False)
-    elif to == "graphml":
+        return
+    for index, graph in enumerate(graphs):
+        validate_graph(graph, f"{path}: graph {index}", rules=False)
+    if to == "graphml":
         write_graphml(path, graphs[0])
     else:
         extras = [{}] * len(graphs) if extras is None else extras

@@ -29,8 +29,7 @@ from sg3d_jax.data.synthetic_floor import (
 )
 from sg3d_jax.scene.concepts import BUILDING, CITY, FLOOR
 from sg3d_jax.scene.graph import SceneGraph
-
-NEIGHBOURS: Final = 10  # nearest planes that a plane of a city is joined to, as published
+from sg3d_jax.scene.proximity import NEIGHBOURS
 
 
 @dataclass(frozen=True)

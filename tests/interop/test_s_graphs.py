@@ -21,6 +21,7 @@ from sg3d_jax.interop.s_graphs import (
 from sg3d_jax.scene.concepts import BUILDING, FLOOR, PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph, planes_of, undirected_edges
 from sg3d_jax.scene.validate import validate_graph, validate_planes
+from tests.interop.documents import places_of
 
 # A flat of two rooms as a robot reports it: ids of vertices, points denser near the robot, normals
 # in single precision that lean a little, a plane without points, a floor and a climb of stairs.
@@ -312,15 +313,6 @@ def test_a_broken_reasoning_graph_is_refused_in_one_sentence(message, sentence):
     with pytest.raises(ValueError, match=rf"^graph\.json.*{sentence}") as caught:
         graph_from_reasoning(message, planes, "graph.json")
     assert "\n" not in str(caught.value)
-
-
-def places_of(value, path=()):
-    """Returns the path of every value inside parsed messages."""
-    items = value.items() if isinstance(value, dict) else enumerate(value)
-    for key, inner in items:
-        yield (*path, key)
-        if isinstance(inner, (dict, list)):
-            yield from places_of(inner, (*path, key))
 
 
 JSON_VALUES = st.recursive(

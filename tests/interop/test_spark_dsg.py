@@ -26,6 +26,7 @@ from sg3d_jax.scene.concepts import (
 )
 from sg3d_jax.scene.graph import make_graph, undirected_edges
 from sg3d_jax.scene.validate import validate_graph
+from tests.interop.documents import places_of
 
 WALLS = ("edges", "metadata")
 
@@ -410,15 +411,6 @@ def test_a_truncated_file_is_refused(tmp_path, share):
     sound = json.dumps(graph_to_spark_dsg(city())).encode()
     (tmp_path / "a.json").write_bytes(sound[: int(share * len(sound))])
     assert refused_or_sound(lambda: read_graphs(tmp_path / "a.json")) is None
-
-
-def places_of(value, path=()):
-    """Returns the path of every value inside a parsed document."""
-    items = value.items() if isinstance(value, dict) else enumerate(value)
-    for key, inner in items:
-        yield (*path, key)
-        if isinstance(inner, (dict, list)):
-            yield from places_of(inner, (*path, key))
 
 
 SOUND = document("metadata")
