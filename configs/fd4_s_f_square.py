@@ -7,7 +7,7 @@ from sg3d_jax.train.config import Config, DataConfig
 CONFIG = Config(
     data=DataConfig(name="s-f-square"),
     flagg=FlaggConfig(coins=(1,)),  # one node a step: see the README on block sizes
-    fill=FD4Config(noise_levels=4),
+    model=FD4Config(noise_levels=4),
     steps=18_000,
     capacities=(24, 48, 136),  # one floor of 2,400 has 136 nodes
     validate_every=3_000,

@@ -7,7 +7,7 @@ from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
 CONFIG = Config(
     data=DataConfig(name="s-f-square", num_graphs=40),
     flagg=FlaggConfig(width=8, depth=1),
-    fill=FD4Config(
+    model=FD4Config(
         encoder_width=8,
         encoder_layers=1,
         gates=2,

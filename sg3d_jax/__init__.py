@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from sg3d_jax.data.formats import read_graphs, read_planes, write_graphs
     from sg3d_jax.data.registry import make as make_dataset
     from sg3d_jax.data.splits import split
-    from sg3d_jax.flagg.sample import Completion, Grown, complete, grow_from_planes
+    from sg3d_jax.flagg.sample import Completion, Grown, grow_from_planes
     from sg3d_jax.interop.networkx import from_networkx, to_networkx
     from sg3d_jax.metrics.entropic import entropic_fgw
     from sg3d_jax.metrics.fgw import FGW, fgw, fgw_pairs
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sg3d_jax.metrics.report import score
     from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of
     from sg3d_jax.scene.padding import pad, stack, unpad
+    from sg3d_jax.train.models import complete
     from sg3d_jax.train.weights import load_weights
 
 __version__ = "0.1.0"
@@ -53,7 +54,7 @@ _NAMES = {
     "data.formats": ("read_graphs", "read_planes", "write_graphs"),
     "data.registry": ("make_dataset",),
     "data.splits": ("split",),
-    "flagg.sample": ("Completion", "Grown", "complete", "grow_from_planes"),
+    "flagg.sample": ("Completion", "Grown", "grow_from_planes"),
     "interop.networkx": ("from_networkx", "to_networkx"),
     "metrics.entropic": ("entropic_fgw",),
     "metrics.fgw": ("FGW", "fgw", "fgw_pairs"),
@@ -62,6 +63,7 @@ _NAMES = {
     "metrics.report": ("score",),
     "scene.graph": ("SceneGraph", "make_graph", "planes_of"),
     "scene.padding": ("pad", "stack", "unpad"),
+    "train.models": ("complete",),
     "train.weights": ("load_weights",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

@@ -20,7 +20,7 @@ from sg3d_jax.flagg import sample
 from sg3d_jax.interop.planes import COLUMNS, planes_to_dict
 from sg3d_jax.metrics.paper import SCORES
 from sg3d_jax.scene.concepts import CONCEPTS
-from sg3d_jax.train import loop
+from sg3d_jax.train import loop, models
 from sg3d_jax.train import weights as weights_module
 from tests.tiny_run import CONFIGS, ROOT, small_floors, untrained_weights
 
@@ -170,7 +170,7 @@ def test_one_scene_may_go_to_json_lines(weights):
 
 def test_a_graph_that_did_not_come_to_its_end_is_warned_of(weights, capsys, monkeypatch):
     grown = sample.Completion(small_floors()[0], "CAPACITY", 3)
-    monkeypatch.setattr(sample, "complete", lambda *arguments: [[grown]])
+    monkeypatch.setattr(models, "complete", lambda *arguments: [[grown]])
     run("complete", write("a.json", SCENES[0]), "-o", "graph.json", "--weights", weights)
     warning = "sg3d: warning: scene 0 sample 0 stopped by CAPACITY, so its graph is incomplete\n"
     assert capsys.readouterr().err == warning
@@ -478,10 +478,10 @@ def trained_with(monkeypatch):
 def test_fields_are_overridden_by_their_names(trained_with, capsys):
     run(
         *("train", CONFIGS / "test.py", "--steps", 4, "--batch", 2, "-o", "there"),
-        *("--fill.layers", 3, "--optimiser.learning-rate", "1e-4", "--flagg.coins", 1, 2),
+        *("--model.layers", 3, "--optimiser.learning-rate", "1e-4", "--flagg.coins", 1, 2),
     )
     ((config, directory),) = trained_with
-    assert (config.steps, config.batch, config.fill.layers) == (4, 2, 3)
+    assert (config.steps, config.batch, config.model.layers) == (4, 2, 3)
     assert config.optimiser.learning_rate == 1e-4
     assert config.flagg.coins == (1, 2)
     assert config.capacities == (96,)  # of the file
@@ -541,7 +541,7 @@ def test_help_names_every_command(capsys, arguments):
         (["evaluate"], ["--num-graphs", "--split", "--seeds", "--sheet"]),
         (["table"], ["--to", "latex"]),
         (["train"], ["configs/", "CONFIG --help"]),
-        (["train", CONFIGS / "test.py"], ["--steps", "--fill.layers", "--output"]),
+        (["train", CONFIGS / "test.py"], ["--steps", "--model.layers", "--output"]),
         (["export"], ["--to", "spark-dsg", "--walls"]),
         (["data"], ["make", "import", "describe", "check", "sheet"]),
         (["data", "make"], ["--num-graphs"]),

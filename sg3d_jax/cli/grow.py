@@ -41,7 +41,7 @@ def complete(
       diffusion_steps: sampling steps of the topology; fewer are faster.
     """
     from sg3d_jax.data.formats import check_writable, read_planes, write_graphs
-    from sg3d_jax.flagg import sample
+    from sg3d_jax.train import models
     from sg3d_jax.viz.figure import save_picture
 
     check_at_least("--samples", samples, 1)
@@ -51,7 +51,7 @@ def complete(
     scenes = read_planes(planes)
     check_writable(output, len(scenes) * samples, "json")
     trained = _trained(weights, diffusion_steps)
-    grown = sample.complete(trained.model, trained.params, scenes, seed, samples)
+    grown = models.complete(trained.model, trained.params, scenes, seed, samples)
     extras = [
         {
             "halt_reason": completion.halt_reason,
@@ -90,7 +90,13 @@ def train(config: Positional[Path], overrides: tyro.conf.Suppress[tuple[str, ...
         output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]  # the run directory
 
     default = Run(_read_config(config), Path("runs") / config.stem)
-    chosen = tyro.cli(Run, default=default, args=overrides, prog=f"sg3d train {config}")
+    chosen = tyro.cli(
+        Run,
+        default=default,
+        args=overrides,
+        prog=f"sg3d train {config}",
+        config=(tyro.conf.AvoidSubcommands,),  # the method is that of the configuration
+    )
     print(f"{run(chosen.config, chosen.output)}: weights of the best validation FGW")
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from sg3d_jax.fill.fd4 import FD4Config
 from sg3d_jax.flagg.step import FlaggConfig
+from sg3d_jax.train.models import GROWING, METHODS, ModelConfig, method_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Config:
     """One run. Together with the code it determines every parameter, bit for bit."""
 
     data: DataConfig = DataConfig()
-    flagg: FlaggConfig = FlaggConfig()
-    fill: FD4Config = FD4Config()
+    model: ModelConfig = FD4Config()
+    flagg: FlaggConfig | None = FlaggConfig()  # how it grows; None for models that do not
     optimiser: OptimiserConfig = OptimiserConfig()
     seed: int = 0  # of the parameters and of every draw in training
     steps: int = 20_000
@@ -52,10 +53,15 @@ class Config:
     validation_graphs: int = 64
     validation_seed: int = 0
 
+    @property
+    def method(self) -> str:
+        """The name of the method that is trained."""
+        return method_of(self.model)
+
 
 def to_dict(config: Config) -> dict[str, Any]:
-    """Returns the configuration as nested plain types."""
-    return dataclasses.asdict(config)
+    """Returns the configuration as nested plain types, led by the name of its method."""
+    return {"method": config.method, **dataclasses.asdict(config)}
 
 
 def to_json(config: Config) -> str:
@@ -67,9 +73,13 @@ def from_dict(values: dict[str, Any]) -> Config:
     """Rebuilds a configuration from `to_dict`, or from its JSON.
 
     Raises:
-      ValueError: a field is unknown.
+      ValueError: the method or a field is unknown.
     """
-    return _rebuild(Config(), values)
+    fields = dict(values)
+    method = fields.pop("method", Config().method)
+    if method not in METHODS:
+        raise ValueError(f"unknown method {method!r}, expected one of {', '.join(METHODS)}")
+    return _rebuild(Config(model=METHODS[method].config()), fields)
 
 
 def check(config: Config) -> None:
@@ -85,6 +95,10 @@ def check(config: Config) -> None:
         value, unit = getattr(config, name), config.steps_per_call
         if value % unit:
             raise ValueError(f"{name} is {value}, expected a multiple of steps_per_call, {unit}")
+    grows = METHODS[config.method].kind is GROWING
+    if grows != (config.flagg is not None):
+        expected = "how it grows" if grows else "None, because it does not grow"
+        raise ValueError(f"flagg of {config.method} is {config.flagg}, expected {expected}")
     warmup, capacities = config.optimiser.warmup_steps, config.capacities
     if not 0 <= warmup < config.steps:
         raise ValueError(f"optimiser.warmup_steps is {warmup}, expected 0 to {config.steps - 1}")
@@ -103,7 +117,7 @@ def _rebuild(default: Any, values: dict[str, Any]) -> Any:
         )
     chosen = {
         name: _rebuild(fields[name], value)
-        if dataclasses.is_dataclass(fields[name])
+        if dataclasses.is_dataclass(fields[name]) and value is not None
         else (tuple(value) if isinstance(value, list) else value)
         for name, value in values.items()
     }

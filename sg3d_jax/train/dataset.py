@@ -5,19 +5,15 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key
 
 from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
-from sg3d_jax.fill.protocol import Statistics, count_statistics
-from sg3d_jax.flagg.step import FlaggConfig, cut_graph
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Capacity, stack
 from sg3d_jax.scene.proximity import connect_planes
 from sg3d_jax.train.config import DataConfig
 
 EDGE_ROUNDING = 32
-CUTS_A_GRAPH = 16  # for the statistics
 
 
 def load_split(config: DataConfig, part: str) -> list[SceneGraph]:
@@ -74,25 +70,4 @@ def _with_edge_slots(graphs: SceneGraph, slots: int) -> SceneGraph:
         senders=graphs.senders[:, :slots],
         receivers=graphs.receivers[:, :slots],
         n_edge=jnp.stack([real, slots - real], axis=-1),
-    )
-
-
-def statistics_of(config: FlaggConfig, stacks: Sequence[SceneGraph]) -> Statistics:
-    """Counts the statistics of a training set on fixed random cuts of every graph."""
-
-    def cut_all(graphs: SceneGraph, key: Key[Array, ""]) -> Statistics:
-        def several(key: Key[Array, ""], graph: SceneGraph) -> object:
-            keys = jax.random.split(key, CUTS_A_GRAPH)
-            return jax.vmap(lambda key: cut_graph(config, key, graph))(keys)
-
-        cuts = jax.vmap(several)(jax.random.split(key, graphs.n_node.shape[0]), graphs)
-        return count_statistics(jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), cuts))
-
-    keys = jax.random.split(jax.random.key(0), len(stacks))
-    counted = [jax.jit(cut_all)(graphs, key) for graphs, key in zip(stacks, keys, strict=True)]
-    shares = np.array([graphs.n_node.shape[0] for graphs in stacks], np.float32)
-    shares /= shares.sum()
-    return jax.tree.map(
-        lambda *leaves: sum(share * leaf for share, leaf in zip(shares, leaves, strict=True)),
-        *counted,
     )

@@ -9,10 +9,10 @@ import numpy as np
 
 from sg3d_jax.baselines import rand
 from sg3d_jax.data.formats import READABLE, read_graphs
-from sg3d_jax.flagg.sample import complete
 from sg3d_jax.scene.graph import SceneGraph, planes_of
 from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split
+from sg3d_jax.train.models import complete, sampling_steps, share_halted
 from sg3d_jax.train.weights import load_weights, with_diffusion_steps
 
 RAND: Final = "rand"  # sized as the text of the paper says
@@ -74,11 +74,10 @@ def _weights(name: str, data: str | None, diffusion_steps: int | None) -> Method
         source = dataclasses.replace(source, name=data, num_graphs=None)
 
     def grow(scenes: Sequence[SceneGraph], seed: int) -> Result:
-        grown = [one for one, *_ in complete(trained.model, trained.params, scenes, seed)]
-        halted = sum(one.halt_reason == "HALTED" for one in grown) / len(grown)
-        return Result([one.graph for one in grown], halted)
+        made = [one for one, *_ in complete(trained.model, trained.params, scenes, seed)]
+        return Result([one.graph for one in made], share_halted(made))
 
-    return Method(source, grow, trained.config.fill.topology_steps)
+    return Method(source, grow, sampling_steps(trained.config.model))
 
 
 def _read(path: str, scenes: Sequence[SceneGraph]) -> list[SceneGraph]:

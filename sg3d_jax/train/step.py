@@ -9,16 +9,17 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Key
 
-from sg3d_jax.flagg import step as flagg
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.train import models
 from sg3d_jax.train.config import Config
+from sg3d_jax.train.models import Model, Params
 
 
 class TrainState(NamedTuple):
     """Everything that a run carries from step to step."""
 
-    params: Any  # flagg.Params
-    average: Any  # exponential moving average of params
+    params: Params
+    average: Params  # exponential moving average of params
     optimiser: Any
     step: Array  # int32[]
 
@@ -39,15 +40,15 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
     )
 
 
-def init_state(config: Config, model: flagg.Flagg, graph: SceneGraph) -> TrainState:
+def init_state(config: Config, model: Model, graph: SceneGraph) -> TrainState:
     """Draws the initial state from the run's seed; `graph` is any padded graph."""
-    init = jax.jit(functools.partial(flagg.init, model))  # compiled, it runs no forward pass
+    init = jax.jit(functools.partial(models.init, model))  # compiled, it runs no forward pass
     params = init(jax.random.key(config.seed), graph)
     optimiser = make_optimiser(config).init(params)
     return TrainState(params, params, optimiser, jnp.zeros((), jnp.int32))
 
 
-def make_train_call(config: Config, model: flagg.Flagg) -> TrainCall:
+def make_train_call(config: Config, model: Model) -> TrainCall:
     """Builds the compiled function that runs `steps_per_call` training steps on one bucket.
 
     Returns:
@@ -58,10 +59,10 @@ def make_train_call(config: Config, model: flagg.Flagg) -> TrainCall:
     optimiser = make_optimiser(config)
 
     def batch_loss(
-        params: flagg.Params, key: Key[Array, ""], graphs: SceneGraph
+        params: Params, key: Key[Array, ""], graphs: SceneGraph
     ) -> tuple[Float[Array, ""], Metrics]:
         def one(key: Key[Array, ""], graph: SceneGraph) -> tuple[Float[Array, ""], Metrics]:
-            return flagg.loss(model, params, key, graph)
+            return models.loss(model, params, key, graph)
 
         keys = jax.random.split(key, config.batch)
         losses, terms = jax.vmap(one)(keys, graphs)

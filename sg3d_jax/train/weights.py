@@ -14,36 +14,28 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from sg3d_jax.fill.fd4 import make_fd4
 from sg3d_jax.fill.protocol import Statistics
-from sg3d_jax.flagg.step import Flagg, Params, make_flagg
 from sg3d_jax.interop.files import replacing
 from sg3d_jax.train.config import Config, from_dict, to_json
+from sg3d_jax.train.models import METHODS, Model, Params, build_model, with_sampling_steps
 
-FORMAT = "sg3d_jax weights 1"
+FORMAT = "sg3d_jax weights 2"
 
 
 class Trained(NamedTuple):
-    """A model with its parameters, ready to grow graphs."""
+    """A model with its parameters, ready to complete graphs."""
 
-    model: Flagg
+    model: Model
     params: Params
     config: Config
     statistics: Statistics
     name: str  # as it was asked for
 
 
-def build_model(config: Config, statistics: Statistics) -> Flagg:
-    """Builds the three modules of a configuration."""
-    return make_flagg(config.flagg, make_fd4(config.fill, statistics))
-
-
 def save_weights(path: Path, config: Config, statistics: Statistics, params: Params) -> Path:
     """Writes weights to an npz file, under a temporary name first."""
-    leaves = dict(_flat(params._asdict(), "params"))
-    counted = {f"statistics/{name}": np.asarray(v) for name, v in statistics._asdict().items()}
+    content: dict[str, Any] = dict(_flat(statistics, "statistics")) | dict(_flat(params, "params"))
     with replacing(path) as temporary:
-        content: dict[str, Any] = {**counted, **leaves}
         np.savez_compressed(temporary, format=FORMAT, config=to_json(config), **content)
     return path
 
@@ -77,18 +69,16 @@ def load_weights(name_or_path: str | Path) -> Trained:
     )
 
 
-def with_diffusion_steps(trained: Trained, topology_steps: int) -> Trained:
+def with_diffusion_steps(trained: Trained, steps: int) -> Trained:
     """Returns the same weights, sampled with another number of diffusion steps of the topology.
 
     Raises:
-      ValueError: not in 1..S of the trained schedule.
+      ValueError: not in 1..S of the trained schedule, or a method that does not diffuse.
     """
-    most = trained.config.fill.diffusion_steps
-    if not 1 <= topology_steps <= most:
-        raise ValueError(f"diffusion steps must be in 1..{most}, got {topology_steps}")
-    fill = dataclasses.replace(trained.config.fill, topology_steps=topology_steps)
-    config = dataclasses.replace(trained.config, fill=fill)
-    return trained._replace(model=build_model(config, trained.statistics), config=config)
+    model = with_sampling_steps(trained.config.model, steps)
+    config = dataclasses.replace(trained.config, model=model)
+    built = build_model(model, config.flagg, trained.statistics)
+    return trained._replace(model=built, config=config)
 
 
 def _read(path: Path, name: str) -> Trained:
@@ -99,23 +89,23 @@ def _read(path: Path, name: str) -> Trained:
         if str(arrays["format"]) != FORMAT:
             raise ValueError
         config = from_dict(json.loads(str(arrays["config"])))
-        statistics = Statistics(
-            *(jnp.asarray(arrays[f"statistics/{f}"]) for f in Statistics._fields)
-        )
-        branches = _nested(arrays, "params/")  # a module without parameters leaves no branch
-        params = Params(*(branches.get(module, {}) for module in Params._fields))
+        kind = METHODS[config.method].kind
+        statistics = kind.statistics(**_nested(arrays, "statistics/"))
+        params = kind.params(_nested(arrays, "params/"))
     except Exception as error:
         raise ValueError(f"{path}: not a weights file of this version of sg3d_jax") from error
-    return Trained(build_model(config, statistics), params, config, statistics, name)
+    model = build_model(config.model, config.flagg, statistics)
+    return Trained(model, params, config, statistics, name)
 
 
-def _flat(tree: dict[str, Any], path: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yields the leaves of nested dictionaries with their paths, separated by slashes."""
-    for name, branch in tree.items():
-        if isinstance(branch, dict):
-            yield from _flat(branch, f"{path}/{name}")
-        else:
-            yield f"{path}/{name}", np.asarray(branch)
+def _flat(tree: Any, path: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Yields the leaves of dictionaries and NamedTuples with their paths, separated by slashes."""
+    branches = tree._asdict() if hasattr(tree, "_asdict") else tree
+    if not isinstance(branches, dict):
+        yield path, np.asarray(branches)
+        return
+    for name, branch in branches.items():
+        yield from _flat(branch, f"{path}/{name}")
 
 
 def _nested(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, Any]:

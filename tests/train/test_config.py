@@ -27,9 +27,18 @@ def test_a_configuration_survives_json(name):
 
 
 def test_what_is_not_given_has_its_default():
-    assert from_dict({"fill": {"layers": 7}}) == dataclasses.replace(
-        Config(), fill=dataclasses.replace(Config().fill, layers=7)
+    assert from_dict({"model": {"layers": 7}}) == dataclasses.replace(
+        Config(), model=dataclasses.replace(Config().model, layers=7)
     )
+
+
+def test_json_names_the_method_first():
+    assert next(iter(to_dict(Config()).items())) == ("method", "fd4")
+
+
+def test_an_unknown_method_is_refused_with_those_there_are():
+    with pytest.raises(ValueError, match="unknown method 'fd5', expected one of fd4"):
+        from_dict({"method": "fd5"})
 
 
 @pytest.mark.parametrize(
@@ -39,7 +48,7 @@ def test_what_is_not_given_has_its_default():
         (("data",), "DataConfig"),
         (("flagg",), "FlaggConfig"),
         (("flagg", "corruption"), "CorruptionConfig"),
-        (("fill",), "FD4Config"),
+        (("model",), "FD4Config"),
         (("optimiser",), "OptimiserConfig"),
     ],
 )
@@ -49,7 +58,7 @@ def test_an_unknown_field_is_refused_with_the_fields_there_are(path, owner, valu
     place = values
     for name in path:
         place = place[name]
-    first = next(iter(place))
+    first = next(name for name in place if name != "method")
     place["colour"] = value
     with pytest.raises(ValueError, match=f"unknown field 'colour' of {owner}, expected.*{first}"):
         from_dict(values)
@@ -67,6 +76,7 @@ def test_an_unknown_field_is_refused_with_the_fields_there_are(path, owner, valu
         ({"validate_every": 3}, "validate_every is 3, expected a multiple of steps_per_call, 2"),
         ({"steps": 2}, "optimiser.warmup_steps is 2, expected 0 to 1"),
         ({"optimiser": OptimiserConfig(warmup_steps=-1)}, "warmup_steps is -1, expected 0 to 7"),
+        ({"flagg": None}, "flagg of fd4 is None, expected how it grows"),
         ({"capacities": ()}, r"capacities is \[\], expected increasing node counts"),
         ({"capacities": (48, 24)}, r"capacities is \[48, 24\], expected increasing"),
         ({"capacities": (24, 24)}, r"capacities is \[24, 24\], expected increasing"),

@@ -6,15 +6,12 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import registry, schema
-from sg3d_jax.fill.protocol import Statistics
-from sg3d_jax.flagg.step import FlaggConfig, cut_graph
 from sg3d_jax.scene.concepts import PART_OF, PROXIMITY
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.padding import Capacity, pad, unpad
 from sg3d_jax.scene.proximity import connect_planes
-from sg3d_jax.train import dataset
 from sg3d_jax.train.config import DataConfig
-from sg3d_jax.train.dataset import CUTS_A_GRAPH, load_split, stack_by_size, statistics_of
+from sg3d_jax.train.dataset import load_split, stack_by_size
 
 CAPACITIES = (20, 32, 136)
 PARTS = ("train", "validation", "test")
@@ -86,48 +83,6 @@ def test_a_graph_that_no_capacity_holds_is_refused(floors):
     sentence = f"graph {largest} has {size} nodes, more than the largest training capacity, 8"
     with pytest.raises(ValueError, match=sentence):
         stack_by_size(floors, (4, 8))
-
-
-def test_statistics_are_those_that_numpy_counts_on_the_same_cuts(stacks):
-    config = FlaggConfig(coins=(1, 4))
-    counted = statistics_of(config, stacks[:1])
-    expected = count_with_numpy(config, stacks[0], jax.random.split(jax.random.key(0), 1)[0])
-    for one, other in zip(counted, expected, strict=True):
-        npt.assert_allclose(one, other, rtol=1e-4, atol=1e-6)
-
-
-def test_every_graph_counts_the_same_whatever_its_bucket(floors, stacks, monkeypatch):
-    monkeypatch.setattr(dataset, "cut_graph", lambda config, key, graph: graph.n_node[0])
-    mean = lambda cuts: Statistics(*[cuts.astype(float).mean()] * len(Statistics._fields))
-    monkeypatch.setattr(dataset, "count_statistics", mean)
-    expected = np.mean([len(graph.nodes.label) for graph in floors])
-    npt.assert_allclose(statistics_of(FlaggConfig(), stacks), expected, rtol=1e-6)
-
-
-def count_with_numpy(config, graphs, key):
-    def several(key, graph):
-        return jax.vmap(lambda key: cut_graph(config, key, graph))(
-            jax.random.split(key, CUTS_A_GRAPH)
-        )
-
-    keys = jax.random.split(key, graphs.n_node.shape[0])
-    cuts = jax.tree.map(np.asarray, jax.jit(jax.vmap(several))(keys, graphs))
-    label, inside, across, length = np.zeros(6), [], [], []
-    for graph in range(len(cuts.complete)):
-        for draw in range(CUTS_A_GRAPH):
-            block = jax.tree.map(lambda leaf, at=(graph, draw): leaf[at], cuts.block)
-            old = jax.tree.map(lambda leaf, at=(graph, draw): leaf[at], cuts.survivors.nodes)
-            position = np.concatenate([block.position, old.position]).astype(float)
-            for row in np.flatnonzero(block.mask):
-                label[block.label[row]] += 1
-                others = [*range(row), *(len(block.mask) + np.flatnonzero(old.mask))]
-                for other in others:
-                    is_edge = bool(block.edges[row, other])
-                    (inside if other < row else across).append(is_edge)
-                    if is_edge:
-                        length.append(np.linalg.norm(position[row] - position[other]))
-    shares = [np.array([1 - np.mean(edges), np.mean(edges)]) for edges in (inside, across)]
-    return label / label.sum(), *shares, np.mean(length), np.std(length) + 1e-3
 
 
 def test_parts_share_no_graph_and_leave_none_out():

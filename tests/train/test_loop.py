@@ -8,11 +8,11 @@ import numpy.testing as npt
 import optax
 import pytest
 
-from sg3d_jax.flagg.sample import complete
 from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.train import checkpoint, loop
 from sg3d_jax.train.config import to_json
 from sg3d_jax.train.loop import bucket_of_call, prepare, train, validate
+from sg3d_jax.train.models import complete
 from sg3d_jax.train.step import init_state
 from sg3d_jax.train.weights import load_weights
 from tests.tiny_run import read_config
@@ -172,14 +172,18 @@ def test_a_score_that_is_not_finite_is_the_worst(trained, monkeypatch):
 def test_a_directory_of_another_run_is_refused_by_the_fields_that_differ(trained):
     config = trained.run.config
     other = dataclasses.replace(
-        config, batch=9, fill=dataclasses.replace(config.fill, layers=3), capacities=(24, 48)
+        config, batch=9, model=dataclasses.replace(config.model, layers=3), capacities=(24, 48)
     )
     before = {path: path.stat().st_mtime_ns for path in trained.directory.iterdir()}
     with pytest.raises(ValueError, match=r"config\.json: the run has another") as caught:
         train(other, trained.directory)
-    for change in ("batch 2 there, 9 here", "fill.layers 1 there, 3 here", "capacities [24] there"):
+    for change in (
+        "batch 2 there, 9 here",
+        "model.layers 1 there, 3 here",
+        "capacities [24] there",
+    ):
         assert change in str(caught.value)
-    assert "steps" not in str(caught.value).replace("fill.topology_steps", "")
+    assert "steps" not in str(caught.value).replace("model.topology_steps", "")
     assert {path: path.stat().st_mtime_ns for path in trained.directory.iterdir()} == before
 
 

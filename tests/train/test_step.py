@@ -33,7 +33,7 @@ def toy_loss(model, params, key, graph):
 
 @pytest.fixture(autouse=True)
 def _toy(monkeypatch):
-    monkeypatch.setattr(step, "flagg", types.SimpleNamespace(loss=toy_loss, Params=jax.Array))
+    monkeypatch.setattr(step, "models", types.SimpleNamespace(loss=toy_loss))
 
 
 @pytest.fixture(scope="module")

@@ -1,3 +1,5 @@
+import hashlib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,12 +19,15 @@ STATISTICS = Statistics(
     cross_edge=jnp.array([0.8, 0.2]),
     distance_mean=jnp.asarray(3.1),
     distance_std=jnp.asarray(1.7),
+    position_std=jnp.asarray(1.3),
 )
 PARAMS = Params(
     insert={"params": {"dense_0": {"kernel": jnp.arange(6.0).reshape(2, 3) / 7}}},
     fill={"encoder": {"params": {"scale": jnp.asarray(0.1)}}, "topology": {"a": jnp.ones(2)}},
     halt={"params": {"dense_0": {"bias": jnp.array([1e-30, -jnp.pi])}}},
 )
+
+PARAMETERS = {"fd4-s-f": "d34aaaa1e3f9293c", "fd4-s-f-square": "f1ad7cd0951479e0"}  # first digits of their hash
 
 
 @pytest.fixture
@@ -45,7 +50,7 @@ def test_weights_read_back_bit_for_bit(path):
 
 def test_the_file_tells_numpy_alone_what_it_is(path):
     with np.load(path, allow_pickle=False) as content:
-        assert str(content["format"]) == "sg3d_jax weights 1"
+        assert str(content["format"]) == "sg3d_jax weights 2"
         assert content["params/insert/params/dense_0/kernel"].shape == (2, 3)
         assert '"diffusion_steps": 500' in str(content["config"])
 
@@ -76,7 +81,7 @@ def without(path, key):
 def replace_format(path):
     without(path, "format")
     with np.load(path) as content:
-        np.savez(path, format="sg3d_jax weights 0", **content)
+        np.savez(path, format="sg3d_jax weights 1", **content)
 
 
 @pytest.mark.parametrize(
@@ -103,9 +108,9 @@ def test_a_broken_file_is_refused_in_one_sentence(path, spoil):
 def test_the_number_of_sampling_steps_can_be_any_of_the_schedule(path, steps):
     loaded = load_weights(path)
     other = with_diffusion_steps(loaded, steps)
-    assert other.config.fill.topology_steps == steps
+    assert other.config.model.topology_steps == steps
     assert other.params is loaded.params
-    assert other.config.fill.diffusion_steps == 500
+    assert other.config.model.diffusion_steps == 500
 
 
 @pytest.mark.parametrize("steps", [-1, 0, 501])
@@ -119,4 +124,12 @@ def test_the_weights_of_the_package_load_and_are_finite(name):
     loaded = load_weights(name)
     leaves = jax.tree.leaves((loaded.params, loaded.statistics))
     assert all(np.isfinite(leaf).all() for leaf in leaves)
-    assert f"fd4-{loaded.config.data.name}" == name
+    assert f"{loaded.config.method}-{loaded.config.data.name}" == name
+
+
+@pytest.mark.parametrize(("name", "expected"), sorted(PARAMETERS.items()))
+def test_the_parameters_of_the_package_are_those_that_were_trained(name, expected):
+    digest = hashlib.sha256()
+    for path, leaf in jax.tree.leaves_with_path(load_weights(name).params):
+        digest.update(jax.tree_util.keystr(path).encode() + np.asarray(leaf).tobytes())
+    assert digest.hexdigest()[:16] == expected
