@@ -31,7 +31,7 @@ HOMES: Final = {
     "mpl_toolkits": "viz/",
     "plotly": "viz/",
     "shapely": "data/",
-    "networkx": "interop/",
+    "networkx": ("interop/", "baselines/"),
 }
 
 
