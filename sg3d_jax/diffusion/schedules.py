@@ -5,12 +5,18 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 
-def cosine(num_steps: int) -> Float[Array, " {num_steps}+1"]:
+def cosine(num_steps: int, exponent: float = 1.0) -> Float[Array, " {num_steps}+1"]:
     """Returns the cumulative signal level at times 0..S: 1 at time 0, about 0 at time S.
 
-    Source: DiGress and FLAGG: f(t / S) / f(0) with f(x) = cos^2(pi / 2 * (x + 0.008) / 1.008).
+    Args:
+      num_steps: S.
+      exponent: nu; what has a larger one is noised later, and so settles earlier when generated.
+
+    Source: DiGress and FLAGG: f(t / S) / f(0) with f(x) = cos^2(pi / 2 * (x + 0.008) / 1.008); with
+    x^nu in place of x, MiDi.
+    Differs: MiDi's level at time 0 already contains one step of noise.
     """
-    time = np.arange(num_steps + 1) / num_steps
+    time = (np.arange(num_steps + 1) / num_steps) ** exponent
     signal = np.cos(0.5 * np.pi * (time + 0.008) / 1.008) ** 2
     return jnp.asarray(signal / signal[0], jnp.float32)
 

@@ -38,21 +38,113 @@ def _join(square: Array, cross: Array, block_mask: Array, old_mask: Array) -> Ar
     return jnp.concatenate([_mirror(square), cross], axis=1) * real
 
 
+class Levels(NamedTuple):
+    """Signal levels of both parts of a topology at one diffusion time."""
+
+    label: Array  # float[]
+    edge: Array  # float[]
+
+
+def topology_of(block: Block) -> Topology:
+    """Returns the clean topology of a block."""
+    return Topology(block.label, block.edges.astype(jnp.int32))
+
+
 def add_noise(
     key: Key[Array, ""],
-    block: Block,
+    topology: Topology,
+    signal: Levels,
+    block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
-    signal: Float[Array, ""],
     statistics: Statistics,
 ) -> Topology:
-    """Draws the noisy topology at one signal level."""
+    """Draws a noisier topology: from a clean one, that of the time at which signals are such."""
     keys = jax.random.split(key, 3)
-    num_block = block.mask.shape[0]
-    edges = block.edges.astype(jnp.int32)
-    square = categorical.add_noise(keys[0], edges[:, :num_block], signal, statistics.block_edge)
-    cross = categorical.add_noise(keys[1], edges[:, num_block:], signal, statistics.cross_edge)
-    label = categorical.add_noise(keys[2], block.label, signal, statistics.label)
-    return Topology(label, _join(square, cross, block.mask, old_mask))
+    num_block = block_mask.shape[0]
+    square, cross = topology.edges[:, :num_block], topology.edges[:, num_block:]
+    square = categorical.add_noise(keys[0], square, signal.edge, statistics.block_edge)
+    cross = categorical.add_noise(keys[1], cross, signal.edge, statistics.cross_edge)
+    label = categorical.add_noise(keys[2], topology.label, signal.label, statistics.label)
+    return Topology(label, _join(square, cross, block_mask, old_mask))
+
+
+def cross_entropies(
+    logits_label: Float[Array, "M C"],
+    logits_edge: Float[Array, "M tokens 2"],
+    block: Block,
+    old_mask: Bool[Array, " N"],
+) -> dict[str, Float[Array, ""]]:
+    """Returns the cross-entropies of the clean labels and edges.
+
+    Each is a mean over the nodes, or over the pairs, of this one graph, so that in a batch every
+    graph weighs the same; zero for an empty block.
+
+    Source: FLAGG's loss.
+    Differs: FLAGG's per-graph weights hit the wrong elements when a batch has more than one graph.
+    """
+    square, cross = real_pairs(block.mask, old_mask)
+    pairs = jnp.concatenate([square, cross], axis=1)
+    label = _cross_entropy(logits_label, block.label)
+    edge = _cross_entropy(logits_edge, block.edges.astype(jnp.int32))
+    return {"label": _masked_mean(label, block.mask), "edge": _masked_mean(edge, pairs)}
+
+
+def _cross_entropy(logits: Float[Array, "... C"], target: Int[Array, "..."]) -> Float[Array, "..."]:
+    chosen = jnp.take_along_axis(jax.nn.log_softmax(logits), target[..., None], axis=-1)
+    return -chosen[..., 0]
+
+
+def _masked_mean(values: Float[Array, "..."], mask: Bool[Array, "..."]) -> Float[Array, ""]:
+    return jnp.sum(values * mask) / jnp.maximum(jnp.sum(mask), 1)
+
+
+def draw_start(
+    key: Key[Array, ""],
+    block_mask: Bool[Array, " M"],
+    old_mask: Bool[Array, " N"],
+    statistics: Statistics,
+) -> Topology:
+    """Draws pure noise from the marginals."""
+    num_block, num_old = block_mask.shape[0], old_mask.shape[0]
+    key_label, key_square, key_cross = jax.random.split(key, 3)
+    square = categorical.draw_marginal(key_square, (num_block,) * 2, statistics.block_edge)
+    cross = categorical.draw_marginal(key_cross, (num_block, num_old), statistics.cross_edge)
+    label = categorical.draw_marginal(key_label, (num_block,), statistics.label)
+    return Topology(label, _join(square, cross, block_mask, old_mask))
+
+
+def reverse_step(
+    key: Key[Array, ""],
+    noisy: Topology,
+    logits_label: Float[Array, "M C"],
+    logits_edge: Float[Array, "M tokens 2"],
+    signal_next: Levels,
+    signal_now: Levels,
+    block_mask: Bool[Array, " M"],
+    old_mask: Bool[Array, " N"],
+    statistics: Statistics,
+) -> Topology:
+    """Draws the topology at an earlier diffusion time, given the prediction of the clean one.
+
+    Source: paper, Eq. (digress_transition).
+    """
+    # A class of no marginal probability, such as the plane, would never be left again.
+    logits_label = jnp.where((statistics.label > 0)[None], logits_label, -jnp.inf)
+    keys = jax.random.split(key, 3)
+    probs_label, probs_edge = jax.nn.softmax(logits_label), jax.nn.softmax(logits_edge)
+    levels = signal_next.edge, signal_now.edge
+    num_block = block_mask.shape[0]
+
+    def draw(key: Array, part: slice, marginal: Array) -> Array:
+        probs = categorical.posterior(probs_edge[:, part], noisy.edges[:, part], *levels, marginal)
+        return categorical.draw(key, probs)
+
+    square = draw(keys[0], slice(None, num_block), statistics.block_edge)
+    cross = draw(keys[1], slice(num_block, None), statistics.cross_edge)
+    levels_label = signal_next.label, signal_now.label
+    probs = categorical.posterior(probs_label, noisy.label, *levels_label, statistics.label)
+    label = categorical.draw(keys[2], probs)
+    return Topology(label, _join(square, cross, block_mask, old_mask))
 
 
 def loss(
@@ -64,43 +156,15 @@ def loss(
     schedule: Float[Array, " times"],
     statistics: Statistics,
 ) -> dict[str, Float[Array, ""]]:
-    """Returns the cross-entropies of labels and edges at one random diffusion time.
-
-    Each is a mean over the nodes, or over the pairs, of this one graph, so that in a batch every
-    graph weighs the same; zero for an empty block.
-
-    Source: FLAGG's loss, label + 5 x edge.
-    Differs: FLAGG's per-graph weights hit the wrong elements when a batch has more than one graph.
-    """
+    """Returns `cross_entropies` at one random diffusion time."""
     key_time, key_noise = jax.random.split(key)
     time = jax.random.randint(key_time, (), 1, schedule.shape[0])
-    noisy = add_noise(key_noise, block, conditioning.mask, schedule[time], statistics)
-    logits_label, logits_edge = apply(
-        network,
-        params,
-        conditioning,
-        block.mask,
-        noisy.label,
-        noisy.edges,
-        time.astype(jnp.float32),
-    )
-    square, cross = real_pairs(block.mask, conditioning.mask)
-    pairs = jnp.concatenate([square, cross], axis=1)
-    cross_entropy_label = _cross_entropy(logits_label, block.label)
-    cross_entropy_edge = _cross_entropy(logits_edge, block.edges.astype(jnp.int32))
-    return {
-        "label": _masked_mean(cross_entropy_label, block.mask),
-        "edge": _masked_mean(cross_entropy_edge, pairs),
-    }
-
-
-def _cross_entropy(logits: Float[Array, "... C"], target: Int[Array, "..."]) -> Float[Array, "..."]:
-    chosen = jnp.take_along_axis(jax.nn.log_softmax(logits), target[..., None], axis=-1)
-    return -chosen[..., 0]
-
-
-def _masked_mean(values: Float[Array, "..."], mask: Bool[Array, "..."]) -> Float[Array, ""]:
-    return jnp.sum(values * mask) / jnp.maximum(jnp.sum(mask), 1)
+    signal = Levels(schedule[time], schedule[time])
+    masks = block.mask, conditioning.mask
+    noisy = add_noise(key_noise, topology_of(block), signal, *masks, statistics)
+    inputs = conditioning, block.mask, noisy.label, noisy.edges, time.astype(jnp.float32)
+    logits = apply(network, params, *inputs)
+    return cross_entropies(*logits, block, conditioning.mask)
 
 
 def sample(
@@ -117,51 +181,18 @@ def sample(
 
     It takes `num_steps` sampling steps, a stride over the trained schedule.
     """
-    num_block, old_mask = block_mask.shape[0], conditioning.mask
     key_start, key_steps = jax.random.split(key)
-    key_label, key_square, key_cross = jax.random.split(key_start, 3)
-    square = categorical.draw_marginal(key_square, (num_block,) * 2, statistics.block_edge)
-    cross = categorical.draw_marginal(
-        key_cross, (num_block, old_mask.shape[0]), statistics.cross_edge
-    )
-    start = Topology(
-        label=categorical.draw_marginal(key_label, (num_block,), statistics.label),
-        edges=_join(square, cross, block_mask, old_mask),
-    )
-
-    # A class of no marginal probability, such as the plane, would never be left again.
-    possible = statistics.label > 0
+    masks = block_mask, conditioning.mask
 
     def step(noisy: Topology, inputs: tuple[Array, Array, Array]) -> tuple[Topology, None]:
         key, now, then = inputs
-        logits_label, logits_edge = apply(
-            network,
-            params,
-            conditioning,
-            block_mask,
-            noisy.label,
-            noisy.edges,
-            now.astype(jnp.float32),
-        )
-        logits_label = jnp.where(possible[None], logits_label, -jnp.inf)
-        levels = schedule[then], schedule[now]
-        keys = jax.random.split(key, 3)
-        probs_label, probs_edge = jax.nn.softmax(logits_label), jax.nn.softmax(logits_edge)
-
-        def draw(key: Array, probs: Array, state: Array, marginal: Array) -> Array:
-            return categorical.draw(key, categorical.posterior(probs, state, *levels, marginal))
-
-        split = (slice(None), slice(None, num_block)), (slice(None), slice(num_block, None))
-        square, cross = (
-            draw(key, probs_edge[part], noisy.edges[part], marginal)
-            for key, part, marginal in zip(
-                keys[:2], split, (statistics.block_edge, statistics.cross_edge), strict=True
-            )
-        )
-        label = draw(keys[2], probs_label, noisy.label, statistics.label)
-        return Topology(label, _join(square, cross, block_mask, old_mask)), None
+        time = now.astype(jnp.float32)
+        logits = apply(network, params, conditioning, block_mask, *noisy, time)
+        levels = (Levels(schedule[then], schedule[then]), Levels(schedule[now], schedule[now]))
+        return reverse_step(key, noisy, *logits, *levels, *masks, statistics), None
 
     times = strided_times(schedule.shape[0] - 1, num_steps)
     keys = jax.random.split(key_steps, num_steps)
+    start = draw_start(key_start, *masks, statistics)
     topology, _ = jax.lax.scan(step, start, (keys, times[:-1], times[1:]))
     return topology

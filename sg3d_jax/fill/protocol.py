@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
@@ -22,6 +23,7 @@ class Statistics(NamedTuple):
     cross_edge: Array  # float[2], between a block and the old graph
     distance_mean: Array  # float[], metres, on new edges
     distance_std: Array  # float[], metres
+    position_std: Array  # float[], metres a coordinate, of new nodes around the old graph's mean
 
 
 class Fill(NamedTuple):
@@ -50,6 +52,14 @@ def real_pairs(
     return once, block_mask[:, None] & old_mask[None, :]
 
 
+def frame_centre(position: Float[Array, "N 3"], mask: Bool[Array, " N"]) -> Float[Array, "3"]:
+    """Returns the mean position of the real nodes: c_{t-1}, the origin of MiDi's frame.
+
+    Source: paper, Sec. "Adapting MiDi".
+    """
+    return jnp.sum(position * mask[:, None], axis=0) / jnp.maximum(jnp.sum(mask), 1)
+
+
 def count_statistics(cuts: Cut) -> Statistics:
     """Counts the marginals and the distance scale on stacked cuts.
 
@@ -57,8 +67,8 @@ def count_statistics(cuts: Cut) -> Statistics:
       cuts: of leading axis `B`, as drawn in training.
 
     Returns:
-      Marginals of labels and of both kinds of edges, and mean and spread of the new edges' lengths.
-      The plane label has probability zero.
+      Marginals of labels and of both kinds of edges, mean and spread of the new edges' lengths, and
+      spread of the new nodes. The plane label has probability zero.
 
     Source: DiGress (marginal transitions), FLAGG (three separate marginals).
     Differs: counted before training; FLAGG counts while it already trains.
@@ -77,6 +87,9 @@ def count_statistics(cuts: Cut) -> Statistics:
     total = jnp.maximum(jnp.sum(new), 1)
     mean = jnp.sum(length * new) / total
     variance = jnp.sum((length - mean) ** 2 * new) / total
+    centre = jax.vmap(frame_centre)(old.position, old.mask)
+    offset = (block.position - centre[:, None]) * block.mask[..., None]
+    spread = jnp.sum(offset**2) / jnp.maximum(3 * jnp.sum(block.mask), 1)
 
     def binary(edges: Array, pairs: Array) -> Array:
         share = jnp.sum(edges & pairs) / jnp.maximum(jnp.sum(pairs), 1)
@@ -88,4 +101,5 @@ def count_statistics(cuts: Cut) -> Statistics:
         cross_edge=binary(across, cross),
         distance_mean=mean,
         distance_std=jnp.sqrt(variance) + 1e-3,
+        position_std=jnp.sqrt(spread) + 1e-3,
     )

@@ -12,7 +12,7 @@ from jaxtyping import Array, Key
 
 from sg3d_jax.flagg.blocks import draw_schedule, insert_posterior
 from sg3d_jax.flagg.ordering import Ordering, insertion_rank
-from sg3d_jax.scene.concepts import CONCEPTS
+from sg3d_jax.scene.concepts import CONCEPTS, PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block, part_of_adjacency
 
@@ -67,6 +67,37 @@ def draw_cut(
         has_block=~complete,
         inserted=step > 0,
     )
+
+
+def one_shot_cut(graph: SceneGraph) -> Cut:
+    """Cuts a complete graph down to its planes: all other nodes are one block, in their order.
+
+    Args:
+      graph: padded and complete, `N` nodes of capacity.
+
+    Returns:
+      The cut; its block has room for `one_shot_capacity(N)` nodes, and any beyond it are lost.
+
+    Source: FLAGG's one-shot schedule, T = 1.
+    """
+    nodes = graph.nodes
+    high = nodes.mask & (nodes.label != PLANE)
+    num_nodes, num_high = nodes.mask.shape[0], jnp.sum(high, dtype=jnp.int32)
+    rank = jnp.where(high, jnp.cumsum(high, dtype=jnp.int32) - 1, -1)
+    rank = jnp.where(nodes.mask, rank, num_nodes)
+    return Cut(
+        survivors=_keep(graph, rank < 0),
+        block=_block(graph, rank, jnp.asarray(0), num_high, one_shot_capacity(num_nodes)),
+        insert_probs=jnp.ones(1),
+        complete=num_high == 0,
+        has_block=num_high > 0,
+        inserted=jnp.asarray(False),
+    )
+
+
+def one_shot_capacity(num_nodes: int) -> int:
+    """Returns the room for new nodes in a graph of N slots: half of it, the rest is planes."""
+    return num_nodes // 2
 
 
 def _keep(graph: SceneGraph, keep: Array) -> SceneGraph:

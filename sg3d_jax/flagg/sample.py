@@ -8,7 +8,7 @@ Source: paper, Eq. (flagg_full) and Sec. "Generating 3DSGs".
 import functools
 import itertools
 import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Integer, Key
 
 from sg3d_jax.flagg.step import Flagg, Params, grow
+from sg3d_jax.scene.concepts import PLANE
 from sg3d_jax.scene.graph import SceneGraph, planes_of
 from sg3d_jax.scene.padding import (
     Capacity,
@@ -28,8 +29,8 @@ from sg3d_jax.scene.padding import (
 )
 from sg3d_jax.scene.proximity import connect_planes
 
-HALT_REASONS = ("RUNNING", "HALTED", "CAPACITY", "MAX_STEPS")
-RUNNING, HALTED, CAPACITY, MAX_STEPS = range(len(HALT_REASONS))
+HALT_REASONS = ("RUNNING", "HALTED", "CAPACITY", "MAX_STEPS", "ONE_SHOT")
+RUNNING, HALTED, CAPACITY, MAX_STEPS, ONE_SHOT = range(len(HALT_REASONS))
 # Scenes grown together: constant in a bucket, so that there is one compilation of each. Four reach
 # the rate of 32, on two cores, and a scene alone pays for few.
 BATCH = 4
@@ -114,6 +115,10 @@ def num_lanes(capacity: Capacity) -> int:
     return max(1, min(BATCH, BATCH_NODES // capacity.nodes))
 
 
+# (keys, stacked planes, indices of their scenes) -> stacked results.
+GrowLanes = Callable[[Key[Array, " B"], SceneGraph, Sequence[int]], Grown]
+
+
 class Completion(NamedTuple):
     """A grown graph on the host."""
 
@@ -143,49 +148,66 @@ def complete(
     Returns:
       For every scene, in order, its samples.
     """
+
+    def grow_lanes(keys: Key[Array, " B"], planes: SceneGraph, lanes: Sequence[int]) -> Grown:
+        return grow_batch(model, params, keys, planes, max_steps)
+
+    num_planes = [int(np.sum(scene.nodes.label == PLANE)) for scene in scenes]
+    capacities = [growth_capacity(number) for number in num_planes]
+    return complete_in_batches(grow_lanes, scenes, capacities, seed, samples)
+
+
+def complete_in_batches(
+    grow_lanes: GrowLanes,
+    scenes: Sequence[SceneGraph],
+    capacities: Sequence[Capacity],
+    seed: int,
+    samples: int,
+) -> list[list[Completion]]:
+    """Completes host graphs in batches of one size, each centred on its planes.
+
+    Args:
+      grow_lanes: grows one batch of stacked scenes, always of as many lanes.
+      scenes: host graphs; their planes are observed.
+      capacities: the bucket of each scene.
+      seed: of `sample_keys`.
+      samples: graphs a scene.
+
+    Returns:
+      For every scene, in order, its samples.
+    """
     observed = [planes_of(scene) for scene in scenes]
     jobs = [(scene, sample) for scene in range(len(scenes)) for sample in range(samples)]
+    # Neighbours in a batch are of like size, so that they need like numbers of steps.
+    jobs.sort(key=lambda job: (capacities[job[0]].nodes, len(observed[job[0]].nodes.label)))
     finished: dict[tuple[int, int], Completion] = {}
-    for capacity, batch in _batches(jobs, [len(planes.nodes.label) for planes in observed]):
-        completions = _complete_batch(model, params, seed, batch, observed, capacity, max_steps)
-        finished.update(zip(batch, completions, strict=True))
+    for capacity, group in itertools.groupby(jobs, lambda job: capacities[job[0]]):
+        members, width = list(group), num_lanes(capacity)
+        for first in range(0, len(members), width):
+            batch = members[first : first + width]
+            lanes = [*batch, *[batch[-1]] * (width - len(batch))]  # idle ones repeat the last
+            completions = _complete_lanes(grow_lanes, lanes, observed, capacity, seed)
+            finished.update(zip(batch, completions, strict=False))
     return [[finished[scene, s] for s in range(samples)] for scene in range(len(scenes))]
 
 
-def _batches(
-    jobs: Sequence[tuple[int, int]], num_planes: Sequence[int]
-) -> Iterator[tuple[Capacity, list[tuple[int, int]]]]:
-    """Yields as many jobs of one bucket as there are lanes; similar sizes need similar steps."""
-    by_size = sorted(jobs, key=lambda job: num_planes[job[0]])
-    for capacity, group in itertools.groupby(
-        by_size, lambda job: growth_capacity(num_planes[job[0]])
-    ):
-        members = list(group)
-        lanes = num_lanes(capacity)
-        for first in range(0, len(members), lanes):
-            yield capacity, members[first : first + lanes]
-
-
-def _complete_batch(
-    model: Flagg,
-    params: Params,
-    seed: int,
-    jobs: Sequence[tuple[int, int]],
+def _complete_lanes(
+    grow_lanes: GrowLanes,
+    lanes: Sequence[tuple[int, int]],
     observed: Sequence[SceneGraph],
     capacity: Capacity,
-    max_steps: int,
+    seed: int,
 ) -> list[Completion]:
-    """Grows (scene, sample) pairs of one bucket in one call; idle lanes repeat the last one."""
-    lanes = [*jobs, *[jobs[-1]] * (num_lanes(capacity) - len(jobs))]
+    """Grows (scene, sample) pairs of one bucket in one call."""
     planes = [observed[scene] for scene, _ in lanes]
     centres = [centre_of_planes(graph) for graph in planes]
     centred = [_shift(graph, -centre) for graph, centre in zip(planes, centres, strict=True)]
     keys = sample_keys(seed, *jnp.asarray(lanes, jnp.uint32).T)
-    grown = grow_batch(model, params, keys, stack(centred, capacity), max_steps)
+    grown = grow_lanes(keys, stack(centred, capacity), [scene for scene, _ in lanes])
     grown = jax.tree.map(np.asarray, grown)
     return [
         _on_host(jax.tree.map(operator.itemgetter(lane), grown), planes[lane], centres[lane])
-        for lane in range(len(jobs))
+        for lane in range(len(lanes))
     ]
 
 

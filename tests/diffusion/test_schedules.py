@@ -17,6 +17,13 @@ def test_cosine__is_its_closed_form(num_steps):
     np.testing.assert_allclose(cosine(num_steps), expected, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.parametrize("exponent", [1.5, 2.5])
+def test_cosine__of_a_larger_exponent_is_that_of_an_earlier_time(exponent):
+    plain, later = np.asarray(cosine(10_000), np.float64), np.asarray(cosine(100, exponent))
+    time = 10_000 * (np.arange(101) / 100) ** exponent
+    np.testing.assert_allclose(later, np.interp(time, np.arange(10_001), plain), atol=1e-6)
+
+
 def test_cosine__falls_from_one_to_nothing():
     signal = np.asarray(cosine(500))
     assert signal[0] == 1

@@ -19,6 +19,7 @@ STATISTICS = Statistics(
     cross_edge=jnp.asarray([0.6, 0.4]),
     distance_mean=jnp.float32(1),
     distance_std=jnp.float32(1),
+    position_std=jnp.float32(1),
 )
 
 
@@ -82,7 +83,8 @@ def loss_of(params, key, conditioning, block):
 
 @jax.jit
 def noise_of(key, block, old_mask, signal):
-    return digress.add_noise(key, block, old_mask, signal, STATISTICS)
+    clean, levels = digress.topology_of(block), digress.Levels(signal, signal)
+    return digress.add_noise(key, clean, levels, block.mask, old_mask, STATISTICS)
 
 
 @jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse

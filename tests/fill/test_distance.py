@@ -18,6 +18,7 @@ STATISTICS = Statistics(
     jnp.full(2, 0.5),
     distance_mean=jnp.float32(MEAN),
     distance_std=jnp.float32(STD),
+    position_std=jnp.float32(1),
 )
 
 

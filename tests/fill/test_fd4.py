@@ -27,6 +27,7 @@ STATISTICS = Statistics(
     cross_edge=jnp.asarray([0.6, 0.4]),
     distance_mean=jnp.float32(2),
     distance_std=jnp.float32(0.5),
+    position_std=jnp.float32(1),
 )
 
 

@@ -18,14 +18,15 @@ def cuts() -> Cut:
     return jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1, 4))))(keys)
 
 
-def count_by_loops(cuts: Cut) -> tuple[np.ndarray, list[bool], list[bool], list[float]]:
-    """Labels, whether pairs inside and across blocks are linked, and lengths of the links."""
-    label, inside, across, length = np.zeros(NUM_CONCEPTS), [], [], []
+def count_by_loops(cuts: Cut) -> tuple[np.ndarray, list, list, list, list]:
+    """Labels, whether pairs inside and across are linked, lengths of links, offsets of nodes."""
+    label, inside, across, length, offset = np.zeros(NUM_CONCEPTS), [], [], [], []
     for index in range(len(cuts.complete)):
         block, graph = jax.tree.map(lambda leaf, i=index: leaf[i], (cuts.block, cuts.survivors))
         block, old = jax.tree.map(np.asarray, (block, graph.nodes))
         for new in np.flatnonzero(block.mask):
             label[block.label[new]] += 1
+            offset.append(block.position[new] - old.position[old.mask].mean(axis=0))
             pairs = [(inside, new, other, block.position[other]) for other in range(new)]
             for token in np.flatnonzero(old.mask):
                 pairs.append((across, new, NUM_BLOCK + token, old.position[token]))
@@ -33,17 +34,19 @@ def count_by_loops(cuts: Cut) -> tuple[np.ndarray, list[bool], list[bool], list[
                 kind.append(block.edges[row, column])
                 if kind[-1]:
                     length.append(np.linalg.norm(block.position[row] - end))
-    return label, inside, across, length
+    return label, inside, across, length, offset
 
 
 def test_statistics__are_those_of_a_loop_over_pairs(cuts):
     found = jax.jit(count_statistics)(cuts)
-    label, inside, across, length = count_by_loops(cuts)
+    label, inside, across, length, offset = count_by_loops(cuts)
     np.testing.assert_allclose(found.label, label / label.sum(), rtol=1e-5)
     np.testing.assert_allclose(found.block_edge[1], np.mean(inside), rtol=1e-5)
     np.testing.assert_allclose(found.cross_edge[1], np.mean(across), rtol=1e-5)
     np.testing.assert_allclose(found.distance_mean, np.mean(length), rtol=1e-5)
     np.testing.assert_allclose(found.distance_std, np.std(length) + 1e-3, rtol=1e-4)
+    spread = np.sqrt(np.mean(np.square(offset)))
+    np.testing.assert_allclose(found.position_std, spread + 1e-3, rtol=1e-4)
     assert 0 < np.mean(inside) < 1
     for marginal in found[:3]:
         np.testing.assert_allclose(jnp.sum(marginal), 1, rtol=1e-6)

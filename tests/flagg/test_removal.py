@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sg3d_jax.flagg.blocks import fewest_coins
-from sg3d_jax.flagg.removal import draw_cut
+from sg3d_jax.flagg.removal import draw_cut, one_shot_capacity, one_shot_cut
 from sg3d_jax.scene.concepts import PLANE, PROXIMITY
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.padding import part_of_adjacency
@@ -14,6 +14,7 @@ COINS = (1, 2)
 SCENE = two_rooms()
 NUM_HIGH = len(SCENE.nodes.label) - NUM_PLANES
 TRUTH = np.asarray(part_of_adjacency(on_device(SCENE)))
+NEAR = undirected_edges(SCENE, PROXIMITY)
 cut_graph = jax.jit(jax.vmap(lambda graph, key: draw_cut(graph, key, COINS), (None, 0)))
 
 
@@ -40,9 +41,8 @@ def test_planes__survive_untouched_with_all_their_proximity_edges(cuts):
     assert nodes.mask[:, :NUM_PLANES].all()
     for found, given in zip(nodes[:4], (label, position, normal, width), strict=True):
         np.testing.assert_array_equal(found, np.broadcast_to(given, found.shape))
-    near = undirected_edges(SCENE, PROXIMITY)
     for cut in each(cuts):
-        np.testing.assert_array_equal(undirected_edges(cut.survivors, PROXIMITY), near)
+        np.testing.assert_array_equal(undirected_edges(cut.survivors, PROXIMITY), NEAR)
         assert not (cut.block.label[cut.block.mask] == PLANE).any()
 
 
@@ -133,3 +133,21 @@ def test_a_graph_of_planes_only__is_complete_and_has_no_block():
     assert not cut.has_block.any()
     assert not cut.inserted.any()
     assert not cut.insert_probs.any()
+
+
+def test_one_shot__leaves_the_planes_and_takes_all_else_as_one_block():
+    graph = on_device(SCENE)
+    cut = jax.tree.map(np.asarray, jax.jit(one_shot_cut)(graph))
+    num_nodes, num_block = len(graph.nodes.mask), one_shot_capacity(len(graph.nodes.mask))
+    np.testing.assert_array_equal(cut.survivors.nodes.mask, np.arange(num_nodes) < NUM_PLANES)
+    np.testing.assert_array_equal(undirected_edges(cut.survivors, PROXIMITY), NEAR)
+    assert not part_of_adjacency(cut.survivors).any()
+    assert len(cut.block.mask) == num_block
+    np.testing.assert_array_equal(np.flatnonzero(cut.block.mask), range(NUM_HIGH))
+    high = slice(NUM_PLANES, NUM_PLANES + NUM_HIGH)
+    np.testing.assert_array_equal(cut.block.label[:NUM_HIGH], SCENE.nodes.label[high])
+    np.testing.assert_allclose(cut.block.position[:NUM_HIGH], SCENE.nodes.position[high], rtol=1e-6)
+    expected = np.concatenate([TRUTH[high, high], TRUTH[high, :NUM_PLANES]], axis=1)
+    found = np.delete(cut.block.edges[:NUM_HIGH], np.s_[NUM_HIGH:num_block], axis=1)
+    np.testing.assert_array_equal(found[:, : NUM_HIGH + NUM_PLANES], expected)
+    assert cut.block.edges.sum() == expected.sum()

@@ -1,0 +1,168 @@
+import dataclasses
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sg3d_jax.fill import midi
+from sg3d_jax.fill.midi import Frame, MiDiConfig, State, make_midi, make_schedules
+from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
+from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.graph import planes_of
+from sg3d_jax.scene.padding import Block, part_of_adjacency
+from sg3d_jax.scene.proximity import connect_planes
+from tests.two_rooms import CAPACITY, NUM_PLANES, moved, on_device, random_params, two_rooms
+
+STEPS = 3
+STATISTICS = Statistics(
+    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
+    block_edge=jnp.asarray([0.7, 0.3]),
+    cross_edge=jnp.asarray([0.6, 0.4]),
+    distance_mean=jnp.float32(2),
+    distance_std=jnp.float32(0.5),
+    position_std=jnp.float32(2.5),
+)
+SIZES = MiDiConfig(8, 1, 2, 8, 8, 1, 2, diffusion_steps=STEPS, noise_levels=4, sampling_steps=STEPS)
+FILL = make_midi(SIZES, STATISTICS)
+SCHEDULES = make_schedules(MiDiConfig())
+loss_and_gradient = jax.jit(jax.value_and_grad(FILL.loss, has_aux=True))
+sample = jax.jit(FILL.sample)
+
+
+class Certain(RelaxedTransformer):
+    """A network that knows the wall between both rooms, whatever it sees."""
+
+    def __call__(self, conditioning, centre, block_mask, label, edges, position, time):
+        block = wall()
+        logits = 30.0 * jax.nn.one_hot(block.label, NUM_CONCEPTS)
+        return logits, 30.0 * jax.nn.one_hot(block.edges + 0, 2), block.position
+
+
+def observed(graph):
+    return jax.jit(connect_planes)(on_device(planes_of(graph)))
+
+
+def all_at_once():
+    """The wall, the rooms and the floor as one block on the planes."""
+    graph = on_device(two_rooms())
+    adjacency = part_of_adjacency(graph)[NUM_PLANES:12]
+    old = adjacency.at[:, NUM_PLANES:].set(False)
+    edges = jnp.concatenate([adjacency[:, NUM_PLANES:12], old], axis=1)
+    new = jax.tree.map(lambda field: field[NUM_PLANES:12], graph.nodes)
+    return Block(new.label, new.position, edges, new.mask)
+
+
+def wall():
+    return jax.tree.map(
+        lambda field: field[:1], all_at_once()._replace(edges=all_at_once().edges[:, 3:])
+    )
+
+
+@pytest.fixture(scope="module")
+def params():
+    return random_params(FILL.init, observed(two_rooms()), all_at_once())
+
+
+def test_every_parameter__is_trained(params):
+    graph, block = observed(two_rooms()), all_at_once()
+    (_, terms), found = loss_and_gradient(params, jax.random.key(1), graph, block)
+    chex.assert_tree_all_finite((found, terms))
+    flat, _ = jax.tree_util.tree_flatten_with_path(found)
+    assert [jax.tree_util.keystr(path) for path, leaf in flat if not np.any(leaf)] == []
+
+
+def test_loss__is_the_weighted_sum_of_its_terms(params):
+    graph, block = observed(two_rooms()), all_at_once()
+    (total, terms), _ = loss_and_gradient(params, jax.random.key(2), graph, block)
+    assert set(terms) == {"label", "edge", "position"}
+    expected = terms["label"] + 5 * terms["edge"] + terms["position"]
+    np.testing.assert_allclose(total, expected, rtol=1e-6)
+
+
+def test_loss__of_an_empty_block_is_zero_and_teaches_nothing(params):
+    empty = jax.tree.map(jnp.zeros_like, all_at_once())
+    inputs = jax.random.key(3), observed(two_rooms()), empty
+    (total, _), gradient = loss_and_gradient(params, *inputs)
+    assert total == 0
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves(gradient))
+
+
+def test_loss__does_not_see_where_the_scene_stands(params):
+    """The frame is that of the old graph, so a shift of everything is no change."""
+    offset = np.array([20.0, -8.0, 3.0])
+    block = all_at_once()
+    far = block._replace(position=block.position + offset[None])
+    here, _ = loss_and_gradient(params, jax.random.key(4), observed(two_rooms()), block)
+    there, _ = loss_and_gradient(
+        params, jax.random.key(4), observed(moved(two_rooms(), offset=offset)), far
+    )
+    for one, other in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-3)
+
+
+@pytest.mark.parametrize("steps", [1, STEPS])
+def test_samples__fill_the_places_that_are_asked_for(params, steps):
+    graph, mask = observed(two_rooms()), jnp.arange(4) < 3
+    fill = make_midi(dataclasses.replace(SIZES, sampling_steps=steps), STATISTICS)
+    block = jax.jit(fill.sample)(params, jax.random.key(4), graph, mask)
+    chex.assert_tree_all_finite(block)
+    np.testing.assert_array_equal(block.mask, mask)
+    assert not (block.label[:3] == PLANE).any()
+    assert (block.label < NUM_CONCEPTS).all()
+    for field in (block.label, block.position, block.edges):
+        assert not field[3].any()
+    edges = np.asarray(block.edges)
+    np.testing.assert_array_equal(edges[:, :4], edges[:, :4].T)
+    assert not edges[:, 4 + NUM_PLANES :].any()
+    assert edges.shape == (4, 4 + CAPACITY.nodes)
+
+
+def test_samples__shift_with_the_building(params):
+    offset, mask = np.array([3.0, -6.0, 2.0]), jnp.ones(4, bool)
+    still = sample(params, jax.random.key(5), observed(two_rooms()), mask)
+    shaken = sample(params, jax.random.key(5), observed(moved(two_rooms(), offset=offset)), mask)
+    np.testing.assert_array_equal(still.label, shaken.label)
+    np.testing.assert_array_equal(still.edges, shaken.edges)
+    np.testing.assert_allclose(shaken.position, still.position + offset[None], atol=1e-3)
+
+
+def test_a_certain_network__gives_what_it_knows_in_metres(monkeypatch, params):
+    """The chain ends in the prediction: labels, edges and positions, with the centre added back."""
+    monkeypatch.setattr(midi, "RelaxedTransformer", Certain)
+    block = jax.jit(make_midi(SIZES, STATISTICS).sample)(
+        params, jax.random.key(6), observed(two_rooms()), jnp.ones(1, bool)
+    )
+    for found, expected in zip(block, wall(), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_noise__settles_in_positions_first_then_in_edges_then_in_labels():
+    middle = SCHEDULES.at(jnp.asarray(250))
+    assert middle.position > middle.edge > middle.label > 0
+    # MiDi's own levels at half time; its schedule begins one step later.
+    np.testing.assert_allclose(middle, [0.9187, 0.7134, 0.4923], atol=3e-3)
+
+
+def test_noise__of_positions_keeps_its_centre_of_mass():
+    """The centre of a block is new information: noise on it must have full variance."""
+    frame = Frame(jnp.zeros(3), jnp.float32(1))
+    block, old_mask = all_at_once(), observed(two_rooms()).nodes.mask
+    signal = make_schedules(SIZES).at(jnp.asarray(STEPS))
+
+    def mean_of(key):
+        clean = midi.state_of(block, frame)
+        noisy: State = midi.add_noise(key, clean, signal, block.mask, old_mask, STATISTICS)
+        return jnp.mean(noisy.position, axis=0)
+
+    means = jax.jit(jax.vmap(mean_of))(jax.random.split(jax.random.key(7), 2000))
+    np.testing.assert_allclose(np.var(means, axis=0), 1 / 4, rtol=0.15)
+
+
+def test_frame__is_undone_by_its_inverse():
+    frame = Frame(jnp.asarray([1.0, 2.0, 3.0]), jnp.float32(2))
+    metres = jnp.asarray([[1.0, 2.0, 3.0], [3.0, 2.0, 3.0]])
+    np.testing.assert_allclose(frame.to_unit(metres), [[0, 0, 0], [1, 0, 0]])
+    np.testing.assert_allclose(frame.to_metres(frame.to_unit(metres)), metres)
