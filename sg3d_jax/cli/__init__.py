@@ -1,22 +1,21 @@
-"""The command line: `sg3d complete | view | export | train | evaluate | table | data`.
+"""The command line: `sg3d complete | view | export | train | evaluate | table | sheet | data`.
 
 Every command delegates. A refusal is one sentence on stderr and exit code 2, with nothing written.
 """
 
 import os
 import sys
-from pathlib import Path
 
 import tyro
 
 import sg3d_jax
-from sg3d_jax.cli import data
+from sg3d_jax.cli import data, provenance
 from sg3d_jax.cli.files import export, view
 from sg3d_jax.cli.grow import complete, train
-from sg3d_jax.cli.scores import evaluate, table
+from sg3d_jax.cli.scores import evaluate, sheet, table
 
 app = tyro.extras.SubcommandApp()
-for command in (complete, view, export, train, evaluate, table):
+for command in (complete, view, export, train, evaluate, table, sheet):
     app.command(command)
 app.command(data.app, name="data", help="Make, import, describe, check or draw data sets.")
 
@@ -26,12 +25,13 @@ def main(arguments: list[str] | None = None) -> None:
     # XLA takes its own compiled programs, read back from disk, for those of another machine.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     arguments = sys.argv[1:] if arguments is None else arguments
+    provenance.arguments.set(tuple(arguments))
     try:
         match arguments:
             case ["--version"]:
                 print(f"sg3d {sg3d_jax.__version__}")
-            case ["train", config, *overrides] if not config.startswith("-"):
-                train(Path(config), tuple(overrides))
+            case ["train", name, *overrides] if not name.startswith("-"):
+                train(name, tuple(overrides))
             case _:
                 app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
     except (ValueError, OverflowError, OSError, FloatingPointError) as error:

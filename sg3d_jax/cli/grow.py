@@ -1,7 +1,6 @@
-"""`sg3d complete | train`: growing scene graphs, and learning to."""
+"""`sg3d complete | train`: completing scene graphs, and learning to."""
 
 import dataclasses
-import runpy
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -29,7 +28,7 @@ def complete(
     weights: str = DEFAULT_WEIGHTS,
     diffusion_steps: int | None = None,
 ) -> None:
-    """Grow the scene graph of observed planes.
+    """Complete the scene graph of observed planes.
 
     Args:
       planes: JSON, JSON Lines (a scene a line) or CSV, or graphs whose planes are taken; metres.
@@ -40,7 +39,7 @@ def complete(
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
     """
-    from sg3d_jax.data.formats import check_writable, read_planes, write_graphs
+    from sg3d_jax.data.formats import check_writable, read_graphs, read_planes, write_graphs
     from sg3d_jax.train import models
     from sg3d_jax.viz.figure import save_picture
 
@@ -48,7 +47,8 @@ def complete(
     check_at_least("--seed", seed, 0)
     check_output(output, GRAPHS)
     check_output(picture, PICTURES)
-    scenes = read_planes(planes)
+    read_planes(planes)  # refuses what no method can complete
+    scenes = read_graphs(planes)  # whole: MiDi+Or counts their nodes
     check_writable(output, len(scenes) * samples, "json")
     trained = _trained(weights, diffusion_steps)
     grown = models.complete(trained.model, trained.params, scenes, seed, samples)
@@ -72,15 +72,17 @@ def complete(
         print(f"{picture}: picture of scene 0 sample 0")
 
 
-def train(config: Positional[Path], overrides: tyro.conf.Suppress[tuple[str, ...]] = ()) -> None:
-    """Train a configuration; `sg3d train CONFIG --help` lists what can be overridden.
+def train(name: Positional[str], overrides: tyro.conf.Suppress[tuple[str, ...]] = ()) -> None:
+    """Train a method on a data set; `sg3d train NAME --help` lists what can be overridden.
 
     Args:
-      config: a Python file that defines CONFIG, such as those in configs/.
+      name: METHOD-DATASET, such as midi-s-f, or a Python file that defines CONFIG, such as those in
+        configs/.
       overrides: further arguments, parsed against the configuration.
     """
     from sg3d_jax.train.config import Config
     from sg3d_jax.train.loop import train as run
+    from sg3d_jax.train.presets import find_config
 
     @dataclasses.dataclass(frozen=True)
     class Run:
@@ -89,12 +91,12 @@ def train(config: Positional[Path], overrides: tyro.conf.Suppress[tuple[str, ...
         config: Annotated[Config, tyro.conf.arg(name="")]
         output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]  # the run directory
 
-    default = Run(_read_config(config), Path("runs") / config.stem)
+    default = Run(find_config(name), Path("runs") / Path(name).stem)
     chosen = tyro.cli(
         Run,
         default=default,
         args=overrides,
-        prog=f"sg3d train {config}",
+        prog=f"sg3d train {name}",
         config=(tyro.conf.AvoidSubcommands,),  # the method is that of the configuration
     )
     print(f"{run(chosen.config, chosen.output)}: weights of the best validation FGW")
@@ -106,18 +108,6 @@ def _trained(weights: str, diffusion_steps: int | None) -> Any:
 
     trained = load_weights(weights)
     return trained if diffusion_steps is None else with_diffusion_steps(trained, diffusion_steps)
-
-
-def _read_config(path: Path) -> Any:
-    """Runs a configuration file and returns its CONFIG."""
-    from sg3d_jax.train.config import Config
-
-    if not path.is_file():
-        raise ValueError(f"{path}: no such configuration file; configs/ holds some")
-    config = runpy.run_path(str(path)).get("CONFIG")
-    if not isinstance(config, Config):
-        raise ValueError(f"{path}: expected a variable CONFIG of type sg3d_jax.train.config.Config")
-    return config
 
 
 def _say_what_was_grown(output: Path, graphs: list, extras: list[dict[str, Any]]) -> None:
@@ -132,7 +122,7 @@ def _say_what_was_grown(output: Path, graphs: list, extras: list[dict[str, Any]]
     if len(graphs) > 8:
         print(f"{output}: {len(graphs)} graphs in all")
     for extra in extras:
-        if extra["halt_reason"] != "HALTED":
+        if extra["halt_reason"] not in ("HALTED", "ONE_SHOT"):
             print(
                 f"sg3d: warning: scene {extra['scene']} sample {extra['sample']} stopped by "
                 f"{extra['halt_reason']}, so its graph is incomplete",

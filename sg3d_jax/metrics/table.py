@@ -1,13 +1,14 @@
-"""The paper's tables from result files: our rows of each data set above the paper's.
+"""The paper's tables from result files: our row of each method under the paper's.
 
-A result is what `sg3d evaluate -o` writes: `method`, `data`, `seeds` and, for each score of
+A result is what `sg3d evaluate -o` writes: `method`, `weights`, `data` and, for each score of
 `metrics.paper`, its `mean` and `sd` over the seeds under `scores`.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from sg3d_jax.metrics.paper import HEADINGS, PAPER, SCORES
+from sg3d_jax.metrics.paper import HEADINGS, PAPER, SCORES, TITLES
 
 FORMATS: Final = ("markdown", "latex")
 MISSING: Final = "-"
@@ -21,23 +22,31 @@ class Row(NamedTuple):
 
 
 def rows_by_data(results: Sequence[Mapping[str, Any]]) -> dict[str, list[Row]]:
-    """Returns the rows of each data set: ours in the order given, then the paper's.
+    """Returns the rows of each data set: methods in the paper's order, its row above ours.
+
+    Results of other methods come last. Of several results of one method, each tells its weights.
 
     Raises:
       ValueError: a result lacks a field; the sentence says which result and field.
     """
-    tables: dict[str, list[Row]] = {}
     for index, result in enumerate(results):
         for field in ("method", "data", "scores"):
             if field not in result:
                 raise ValueError(f"result {index} lacks {field!r}, expected `sg3d evaluate -o`")
-        cells = tuple(_cell(result["scores"].get(name)) for name in SCORES)
-        tables.setdefault(result["data"], []).append(Row(result["method"], cells))
-    for data, rows in tables.items():
-        for method, values in PAPER.get(data, {}).items():
-            known = [f"{value:.2f}" for value in values]
-            missing = [MISSING] * (len(SCORES) - len(known))
-            rows.append(Row(f"{method} (paper)", (*known, *missing)))
+    seen = Counter((result["data"], result["method"]) for result in results)
+    tables = {}
+    for data in dict.fromkeys(result["data"] for result in results):
+        ours: dict[str, list[Row]] = {method: [] for method in TITLES}
+        for result in results:
+            if result["data"] == data:
+                several = seen[data, result["method"]] > 1
+                ours.setdefault(result["method"], []).append(_row(result, several))
+        published = PAPER.get(data, {})
+        tables[data] = [
+            row
+            for method, rows in ours.items()
+            for row in [*_published(method, published.get(method)), *rows]
+        ]
     return tables
 
 
@@ -56,6 +65,22 @@ def render(results: Sequence[Mapping[str, Any]], to: str = "markdown") -> str:
     draw = _markdown if to == "markdown" else _latex
     tables = rows_by_data(results)
     return "\n".join(draw(data, rows) for data, rows in tables.items())
+
+
+def _row(result: Mapping[str, Any], with_weights: bool) -> Row:
+    """Returns the row of a result."""
+    title = TITLES.get(result["method"], result["method"])
+    if with_weights and result.get("weights"):
+        title = f"{title} ({result['weights']})"
+    return Row(title, tuple(_cell(result["scores"].get(name)) for name in SCORES))
+
+
+def _published(method: str, values: Sequence[float] | None) -> list[Row]:
+    """Returns the paper's row of a method, if it has one."""
+    if values is None:
+        return []
+    cells = [f"{value:.2f}" for value in values] + [MISSING] * (len(SCORES) - len(values))
+    return [Row(f"{TITLES[method]} (paper)", tuple(cells))]
 
 
 def _cell(score: Mapping[str, float] | None) -> str:

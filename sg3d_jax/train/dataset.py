@@ -8,27 +8,55 @@ import numpy as np
 
 from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
+from sg3d_jax.scene.concepts import CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Capacity, stack
 from sg3d_jax.scene.proximity import connect_planes
 from sg3d_jax.train.config import DataConfig
+from sg3d_jax.train.models import METHODS
 
 EDGE_ROUNDING = 32
 
 
-def load_split(config: DataConfig, part: str) -> list[SceneGraph]:
+def load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph]:
     """Returns the host graphs of "train", "validation", "test" or "all".
 
+    Args:
+      config: which data set, and how it is dealt.
+      part: of it.
+      *methods: that are to be trained or scored on them; those that know no concept above the room
+        are refused buildings and cities.
+
     Raises:
-      ValueError: there is no such data set, or it has no graphs for this part.
+      ValueError: there is no such data set, it has no graphs for this part, or a method does not
+        apply to them.
     """
-    graphs, header = registry.load(config.name, config.num_graphs, config.seed)
+    name = config.name
+    if spec := registry.DATASETS.get(name):
+        _check_top(name, spec.top, methods)
+        if spec.config is None:
+            raise ValueError(
+                f"{name} is made of a file that you have, expected the npz file that "
+                f"`sg3d data import {name} FILE -o {name}.npz` writes, as --data or --data.name"
+            )
+    graphs, header = registry.load(name, config.num_graphs, config.seed)
+    _check_top(name, max((int(graph.nodes.label.max()) for graph in graphs), default=0), methods)
     if part == "all":
         return graphs
     chosen = getattr(split_of(header, len(graphs), config.split_seed), part)
     if not len(chosen):
-        raise ValueError(f"{config.name}: none of its {len(graphs)} graphs is for {part}")
+        raise ValueError(f"{name}: none of its {len(graphs)} graphs is for {part}")
     return [graphs[i] for i in chosen]
+
+
+def _check_top(name: str, top: int, methods: Sequence[str]) -> None:
+    """Refuses a data set whose highest concept is above those of a method."""
+    for method in methods:
+        if method in METHODS and top > METHODS[method].kind.top:
+            raise ValueError(
+                f"{name} reaches up to a {CONCEPTS[top]}, expected single floors, because {method} "
+                "finds walls and rooms alone"
+            )
 
 
 def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> list[SceneGraph]:
@@ -36,20 +64,16 @@ def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> li
 
     Args:
       graphs: host graphs.
-      capacities: node capacities in increasing order.
+      capacities: node capacities in increasing order; larger graphs get further ones, each twice
+        as large as the one before.
 
     Returns:
       One stack a bucket that is used; as many edge slots as its graphs need.
-
-    Raises:
-      ValueError: a graph is larger than the largest capacity.
     """
     sizes = np.array([len(graph.nodes.label) for graph in graphs])
-    if sizes.max() > max(capacities):
-        raise ValueError(
-            f"graph {sizes.argmax()} has {sizes.max()} nodes, more than the largest training "
-            f"capacity, {max(capacities)}"
-        )
+    capacities = list(capacities)
+    while sizes.max() > capacities[-1]:
+        capacities.append(2 * capacities[-1])
     bucket_of = np.searchsorted(np.asarray(capacities), sizes)
     stacks = []
     for bucket in np.unique(bucket_of):

@@ -47,7 +47,7 @@ class Run(NamedTuple):
 
 def prepare(config: Config) -> Run:
     """Makes or reads the data and builds the model."""
-    stacks = stack_by_size(load_split(config.data, "train"), config.capacities)
+    stacks = stack_by_size(load_split(config.data, "train", config.method), config.capacities)
     statistics = measure(config.model, config.flagg, stacks)
     validation = load_split(config.data, "validation")[: config.validation_graphs]
     model = build_model(config.model, config.flagg, statistics)

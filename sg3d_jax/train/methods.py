@@ -3,81 +3,106 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sg3d_jax.baselines import rand
 from sg3d_jax.data.formats import READABLE, read_graphs
 from sg3d_jax.scene.graph import SceneGraph, planes_of
+from sg3d_jax.train import models
 from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split
-from sg3d_jax.train.models import complete, sampling_steps, share_halted
-from sg3d_jax.train.weights import load_weights, with_diffusion_steps
-
-RAND: Final = "rand"  # sized as the text of the paper says
-RAND_SIZED: Final = "rand-sized"  # sized as the paper's published pictures and scores are
-BASELINES: Final = (RAND, RAND_SIZED)
+from sg3d_jax.train.models import CLASSIFYING, METHODS
+from sg3d_jax.train.presets import BASELINES, parse
+from sg3d_jax.train.weights import load_weights, names, with_diffusion_steps
 
 
 class Result(NamedTuple):
     """What a method made of some scenes."""
 
     graphs: list[SceneGraph]  # one a scene
-    halted: float | None  # share of graphs that a growing method found complete; None for others
+    halted: float | None = None  # share of graphs that a growing method found complete
 
 
 class Method(NamedTuple):
     """A method on a data set."""
 
+    name: str  # of the method; of graphs that somebody made, their file
+    weights: str | None  # name or file; None for methods without
     data: DataConfig  # what it is scored on: its own data set unless another is asked for
     complete: Callable[[Sequence[SceneGraph], int], Result]  # of scenes and a seed
-    diffusion_steps: int | None  # of the topology; None for methods without
+    target: Callable[[SceneGraph], SceneGraph] = lambda graph: graph  # what is to be completed
+    diffusion_steps: int | None = None  # of the topology; None for methods without
 
 
 def load_method(name: str, data: str | None = None, diffusion_steps: int | None = None) -> Method:
     """Returns a method, trained or fitted.
 
     Args:
-      name: one of `BASELINES`; weights by name or as an npz file; or a file of graphs that were
-        made of the scenes, in their order, in any format of `formats` but npz.
-      data: a data set by name or a file; None for the one that weights were trained on.
+      name: weights by name or as an npz file; METHOD-DATASET, such as rand-s-f; rand or rand-sized;
+        or a file of graphs that were made of the scenes, in their order, in any format of `formats`
+        but npz.
+      data: a data set by name or a file; None for that of the name or of the weights.
       diffusion_steps: sampling steps of the topology; None for those of the weights.
 
     Raises:
       ValueError: there is no such method, it needs a data set, or it has no diffusion steps.
     """
     suffix = Path(name).suffix.lower()
-    if name not in BASELINES and (suffix == ".npz" or suffix not in READABLE):
-        return _weights(name, data, diffusion_steps)
+    named = parse(name)
+    method, home = named or (name, None)
+    if method not in BASELINES and (suffix == ".npz" or suffix not in READABLE):
+        weights = name if named is None else _weights_of(*named)
+        return _trained(weights, data or (None if weights == name else home), diffusion_steps)
     if diffusion_steps is not None:
         raise ValueError(f"{name} has no diffusion steps, got {diffusion_steps}")
+    data = data or home
     if data is None:
         raise ValueError(f"{name} is not of one data set, expected --data with one")
     source = DataConfig(name=data)
-    if name not in BASELINES:
-        return Method(source, lambda scenes, seed: Result(_read(name, scenes), None), None)
-    training = load_split(source, "train")
-    model = rand.fit(training) if name == RAND else rand.fit_sized(training, source.label)
+    if method not in BASELINES:
+        return Method(name, None, source, lambda scenes, seed: Result(_read(name, scenes)))
+    model = BASELINES[method](load_split(source, "train"), source.label)
     return Method(
-        source, lambda scenes, seed: Result(rand.complete(model, scenes, seed), None), None
+        method, None, source, lambda scenes, seed: Result(rand.complete(model, scenes, seed))
     )
 
 
-def _weights(name: str, data: str | None, diffusion_steps: int | None) -> Method:
-    """Returns growing by trained weights."""
+def _weights_of(method: str, data: str) -> str:
+    """Returns the name of the weights with which a method is scored on a data set."""
+    spec = METHODS[method]  # edge classifiers are trained once, as in the paper
+    name = f"{method}-{spec.home if spec.kind is CLASSIFYING else data}"
+    if name not in names():
+        raise ValueError(
+            f"no weights {name} come with the package: `sg3d train {name}` trains them, and "
+            f"`sg3d evaluate runs/{name}/weights.npz` scores them"
+        )
+    return name
+
+
+def _trained(name: str, data: str | None, diffusion_steps: int | None) -> Method:
+    """Returns completing by trained weights."""
     trained = load_weights(name)
     if diffusion_steps is not None:
         trained = with_diffusion_steps(trained, diffusion_steps)
-    source = trained.config.data
+    config, source = trained.config, trained.config.data
     if data is not None and data != source.name:
         source = dataclasses.replace(source, name=data, num_graphs=None)
 
-    def grow(scenes: Sequence[SceneGraph], seed: int) -> Result:
-        made = [one for one, *_ in complete(trained.model, trained.params, scenes, seed)]
-        return Result([one.graph for one in made], share_halted(made))
+    def complete(scenes: Sequence[SceneGraph], seed: int) -> Result:
+        completed = models.complete(trained.model, trained.params, scenes, seed)
+        made = [one for one, *_ in completed]
+        return Result([one.graph for one in made], models.share_halted(made))
 
-    return Method(source, grow, sampling_steps(trained.config.model))
+    return Method(
+        name=config.method,
+        weights=name,
+        data=source,
+        complete=complete,
+        target=lambda graph: models.target(trained.model, graph),
+        diffusion_steps=models.sampling_steps(config.model),
+    )
 
 
 def _read(path: str, scenes: Sequence[SceneGraph]) -> list[SceneGraph]:

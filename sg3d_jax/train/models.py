@@ -12,28 +12,41 @@ from typing import Any, Final, NamedTuple
 
 from jaxtyping import Array, Float, Key
 
+from sg3d_jax.baselines import edge_classifier, midi_oracle
+from sg3d_jax.baselines.edge_classifier import (
+    ECLConfig,
+    ECSquareConfig,
+    EdgeClassifier,
+    make_edge_classifier,
+)
+from sg3d_jax.baselines.edge_features import Scales, count_scales
+from sg3d_jax.baselines.midi_oracle import MiDiOracle, MiDiOracleConfig, make_midi_oracle
 from sg3d_jax.fill.fd4 import FD4Config, make_fd4
+from sg3d_jax.fill.midi import MiDiConfig, make_midi
 from sg3d_jax.fill.protocol import Fill, Statistics
 from sg3d_jax.flagg import sample, step
+from sg3d_jax.flagg.removal import one_shot_cut
 from sg3d_jax.flagg.sample import Completion
 from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg
+from sg3d_jax.scene.concepts import CITY, FLOOR
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train.statistics import statistics_of
 
-ModelConfig = FD4Config
-Model = Flagg
-ONE_SHOT: Final = "ONE_SHOT"  # the halt reason of graphs that did not grow in steps
+ModelConfig = FD4Config | MiDiOracleConfig | MiDiConfig | ECSquareConfig | ECLConfig
+Model = Flagg | MiDiOracle | EdgeClassifier
 Params = Any  # nested dictionaries of arrays; of Flagg, those of its three modules
 
 
 class Kind(NamedTuple):
-    """What is done with the models of one type; see the functions of the same names.
+    """What is done with the models of one type.
 
     Attributes:
       statistics: the type of what they know of their training set.
       measure: (how to grow, stacks of training graphs) -> statistics.
-      params: (nested dictionaries) -> parameters, as a weights file holds them.
-      init, loss, complete, target: as the functions below.
+      params: (nested dictionaries, as a weights file holds them) -> parameters.
+      init, loss, complete: the functions below of the same names.
+      target: (true host graph) -> what of it is to be completed.
+      top: the highest concept of graphs that they can be trained and scored on.
     """
 
     statistics: Callable[..., Any]
@@ -42,7 +55,8 @@ class Kind(NamedTuple):
     init: Callable[..., Params]
     loss: Callable[..., Any]
     complete: Callable[..., list[list[Completion]]]
-    target: Callable[[Any, SceneGraph], SceneGraph]
+    target: Callable[[SceneGraph], SceneGraph]
+    top: int
 
 
 class MethodSpec(NamedTuple):
@@ -54,12 +68,14 @@ class MethodSpec(NamedTuple):
       kind: what is done with it.
       steps: the field of the configuration that says how many diffusion steps a sample of the
         topology takes; None for methods that do not diffuse.
+      home: the data set whose configuration is taken for sets that have none of their own.
     """
 
     config: Callable[..., Any]
     make: Callable[[Any, Any, Any], Any]
     kind: Kind
     steps: str | None
+    home: str
 
 
 def _measure_cuts(flagg: FlaggConfig, stacks: Sequence[SceneGraph]) -> Statistics:
@@ -76,6 +92,11 @@ def _around(make_fill: Callable[[Any, Any], Fill]) -> Callable[[Any, Any, Any], 
     return lambda config, flagg, statistics: make_flagg(flagg, make_fill(config, statistics))
 
 
+def _alone(make: Callable[[Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
+    """Returns how to make a model that does not grow."""
+    return lambda config, flagg, statistics: make(config, statistics)
+
+
 GROWING: Final = Kind(
     statistics=Statistics,
     measure=_measure_cuts,
@@ -83,16 +104,44 @@ GROWING: Final = Kind(
     init=step.init,
     loss=step.loss,
     complete=sample.complete,
-    target=lambda model, graph: graph,
+    target=lambda graph: graph,
+    top=CITY,
+)
+ONE_SHOT: Final = Kind(
+    statistics=Statistics,
+    measure=lambda flagg, stacks: statistics_of(lambda key, graph: one_shot_cut(graph), stacks),
+    params=lambda branches: branches,
+    init=lambda model, key, graph: model.init(key, graph),
+    loss=lambda model, params, key, graph: model.loss(params, key, graph),
+    complete=midi_oracle.complete,
+    target=lambda graph: graph,
+    top=CITY,
+)
+CLASSIFYING: Final = ONE_SHOT._replace(
+    statistics=Scales,
+    measure=lambda flagg, stacks: count_scales(stacks),
+    complete=edge_classifier.complete,
+    target=edge_classifier.target,
+    top=FLOOR,
 )
 
 METHODS: Final[Mapping[str, MethodSpec]] = MappingProxyType(
     {
-        "fd4": MethodSpec(FD4Config, _around(make_fd4), GROWING, "topology_steps"),
+        "ec-square": MethodSpec(
+            ECSquareConfig, _alone(make_edge_classifier), CLASSIFYING, None, "s-f-square"
+        ),
+        "ec-l": MethodSpec(ECLConfig, _alone(make_edge_classifier), CLASSIFYING, None, "s-f"),
+        "midi-or": MethodSpec(
+            MiDiOracleConfig, _alone(make_midi_oracle), ONE_SHOT, "sampling_steps", "s-f"
+        ),
+        "fd4": MethodSpec(FD4Config, _around(make_fd4), GROWING, "topology_steps", "s-f"),
+        "midi": MethodSpec(MiDiConfig, _around(make_midi), GROWING, "sampling_steps", "s-f"),
     }
 )
 _METHOD_OF: Final = {spec.config: name for name, spec in METHODS.items()}
-_KIND_OF: Final[Mapping[type, Kind]] = MappingProxyType({Flagg: GROWING})
+_KIND_OF: Final[Mapping[type, Kind]] = MappingProxyType(
+    {Flagg: GROWING, MiDiOracle: ONE_SHOT, EdgeClassifier: CLASSIFYING}
+)
 
 
 def method_of(config: ModelConfig) -> str:
@@ -100,9 +149,7 @@ def method_of(config: ModelConfig) -> str:
     return _METHOD_OF[type(config)]
 
 
-def measure(
-    config: ModelConfig, flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]
-) -> Statistics:
+def measure(config: ModelConfig, flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]) -> Any:
     """Counts what a model must know of its training set.
 
     Args:
@@ -113,7 +160,7 @@ def measure(
     return METHODS[method_of(config)].kind.measure(flagg, stacks)
 
 
-def build_model(config: ModelConfig, flagg: FlaggConfig | None, statistics: Statistics) -> Model:
+def build_model(config: ModelConfig, flagg: FlaggConfig | None, statistics: Any) -> Model:
     """Builds the functions of a model.
 
     Args:
@@ -151,7 +198,8 @@ def complete(
     Args:
       model: of any method.
       params: its parameters.
-      scenes: host graphs; everything but their planes is ignored.
+      scenes: host graphs; everything but their planes is ignored, save that MiDi+Or counts the
+        nodes that they have above the planes.
       seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
       samples: graphs a scene.
 
@@ -163,13 +211,13 @@ def complete(
 
 def target(model: Model, graph: SceneGraph) -> SceneGraph:
     """Returns what of a true host graph a completed one is scored against."""
-    return _KIND_OF[type(model)].target(model, graph)
+    return _KIND_OF[type(model)].target(graph)
 
 
 def share_halted(completions: Sequence[Completion]) -> float | None:
     """Returns the share of graphs that a growing model found complete; None for other models."""
     reasons = [completion.halt_reason for completion in completions]
-    return None if ONE_SHOT in reasons else reasons.count("HALTED") / len(reasons)
+    return None if "ONE_SHOT" in reasons else reasons.count("HALTED") / len(reasons)
 
 
 def sampling_steps(config: ModelConfig) -> int | None:
@@ -188,6 +236,7 @@ def with_sampling_steps(config: ModelConfig, steps: int) -> ModelConfig:
     field = METHODS[name].steps
     if field is None:
         raise ValueError(f"{name} has no diffusion steps, got {steps}")
-    if not 1 <= steps <= config.diffusion_steps:
-        raise ValueError(f"diffusion steps must be in 1..{config.diffusion_steps}, got {steps}")
+    most = getattr(config, "diffusion_steps", 0)
+    if not 1 <= steps <= most:
+        raise ValueError(f"diffusion steps must be in 1..{most}, got {steps}")
     return dataclasses.replace(config, **{field: steps})

@@ -27,7 +27,10 @@ PARAMS = Params(
     halt={"params": {"dense_0": {"bias": jnp.array([1e-30, -jnp.pi])}}},
 )
 
-PARAMETERS = {"fd4-s-f": "d34aaaa1e3f9293c", "fd4-s-f-square": "f1ad7cd0951479e0"}  # first digits of their hash
+PARAMETERS = {  # of the weights of the package: the first digits of a hash
+    "fd4-s-f": "d34aaaa1e3f9293c",
+    "fd4-s-f-square": "f1ad7cd0951479e0",
+}
 
 
 @pytest.fixture
