@@ -166,7 +166,8 @@ def planes(seed: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def offsets(params, position, normal, width, room=ROOM):
-    return run(READOUT, params, *(jnp.asarray(x, "f") for x in (position, normal, width)), room)
+    inputs = (jnp.asarray(field, "f") for field in (position, normal, width))
+    return run(READOUT, params, *inputs, jnp.asarray(room))
 
 
 @pytest.fixture(scope="module")
@@ -177,11 +178,11 @@ def readout_params():
 def test_offset_of_a_room__turns_and_mirrors_with_it_and_does_not_see_where_it_is(readout_params):
     position, normal, width = planes()
     expected = offsets(readout_params, position, normal, width)
-    assert (np.abs(expected[[0, 2]]).max(axis=1) > 1e-2).all()
+    assert (np.abs(expected[jnp.array([0, 2])]).max(axis=1) > 1e-2).all()
     matrix = rotation(0.8)[:2, :2] @ np.diag([1, -1])
     moved = position @ matrix.T + np.array([[7.0, -3.0]])
     found = offsets(readout_params, moved, normal @ matrix.T, width)
-    np.testing.assert_allclose(found, expected @ matrix.T, atol=1e-4)
+    np.testing.assert_allclose(found, np.asarray(expected) @ matrix.T, atol=1e-4)
 
 
 def test_offset_of_a_room__is_of_its_own_planes_in_any_order(readout_params):
@@ -200,7 +201,7 @@ def test_offset_of_a_room__is_of_its_own_planes_in_any_order(readout_params):
 def test_rooms_without_planes__have_no_offset_and_a_finite_gradient(readout_params):
     position, normal, width = planes()
     expected = offsets(readout_params, position, normal, width)
-    np.testing.assert_array_equal(expected[[1, 3, 4, 5, 6, 7]], 0)
+    np.testing.assert_array_equal(np.delete(expected, [0, 2], axis=0), 0)
     nobody = jnp.full(8, NO_ROOM)
 
     def total(params):

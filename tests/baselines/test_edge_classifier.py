@@ -1,0 +1,362 @@
+import dataclasses
+import functools
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from sg3d_jax.baselines import edge_classifier as ec
+from sg3d_jax.baselines.edge_classifier import (
+    Classified,
+    ECLConfig,
+    ECSquareConfig,
+    certainty_of,
+    complete,
+    make_edge_classifier,
+    sharing,
+    target,
+    turned,
+)
+from sg3d_jax.baselines.edge_features import Scales, near_planes
+from sg3d_jax.data.synthetic import S_F, S_F_SQUARE, make_scene
+from sg3d_jax.metrics.structure import exact_structure
+from sg3d_jax.scene.concepts import BUILDING, FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.graph import make_graph, planes_of, undirected_edges
+from sg3d_jax.scene.proximity import connect_planes
+from sg3d_jax.scene.validate import validate_graph
+from tests.two_rooms import (
+    NUM_PLANES,
+    PART_OF_PAIRS,
+    TWICE,
+    moved,
+    on_device,
+    random_params,
+    reordered,
+    two_rooms,
+    with_garbage,
+)
+
+SCENE = two_rooms()
+SCALES = Scales(jnp.float32(1), jnp.float32(5), jnp.float32(10))
+SQUARE = ECSquareConfig(heads=2, width=4, decoder=(8,))
+L = ECLConfig(node_width=4, heads=2, edge_width=5, decoder=(8,), readout_width=6)
+CERTAIN = dataclasses.replace(L, dropout=0.0)
+MODELS = {config: make_edge_classifier(config, SCALES) for config in (SQUARE, L, CERTAIN)}
+KEY = functools.partial(jax.random.key, 3)
+either = pytest.mark.parametrize("config", [SQUARE, L])
+connected = jax.jit(connect_planes)
+
+
+def lopsided():
+    """Returns the scene with uneven rooms that do not stand in the middle of their planes."""
+    position, width = SCENE.nodes.position.copy(), SCENE.nodes.width.copy()
+    position[9:11, :2] += [[0.4, 0.2], [-0.3, 0.1]]
+    width[[0, 4]] /= 2
+    return SCENE._replace(nodes=SCENE.nodes._replace(position=position, width=width))
+
+
+@functools.cache
+def params_of(config):
+    params = random_params(MODELS[config].init, on_device(SCENE))
+    return jax.tree.map(lambda leaf: 2 * leaf, params)  # sure enough of some pairs
+
+
+@functools.cache
+def jitted(config, name):
+    return jax.jit(getattr(MODELS[config], name))
+
+
+def by_pair(config, graph):
+    """Returns what becomes of each pair of planes, by the numbers of the planes."""
+    found = jitted(config, "classify")(params_of(config), KEY(), graph)
+    senders, receivers, near = (np.asarray(field) for field in near_planes(graph))
+    table = np.zeros((3, NUM_PLANES, NUM_PLANES))
+    for row, values in zip(table, found, strict=True):
+        row[senders[near], receivers[near]] = values[near]
+    return table
+
+
+@pytest.mark.parametrize(
+    ("config", "expected"),
+    [
+        (ECSquareConfig(), {"room": 21_985, "wall": 21_985}),
+        (ECLConfig(), {"classifier": 106_963}),
+    ],
+)
+def test_networks__have_as_many_parameters_as_the_originals(config, expected):
+    model = make_edge_classifier(config, SCALES)
+    params = jax.eval_shape(model.init, KEY(), on_device(SCENE))
+    for name, number in expected.items():
+        assert sum(leaf.size for leaf in jax.tree.leaves(params[name])) == number
+
+
+def test_pairs_of_planes__share_the_rooms_and_walls_that_they_are_parts_of():
+    graph = connected(on_device(SCENE))
+    in_room, in_wall = (np.asarray(sharing(graph, concept)) for concept in (ROOM, WALL))
+    ends = np.stack([graph.senders, graph.receivers], axis=-1)
+    near = np.asarray(near_planes(graph).mask)
+    room_of = dict(pair for pair in PART_OF_PAIRS if pair[1] in (9, 10))
+    same_room = [room_of[i] == room_of[j] for i, j in ends[near].tolist()]
+    same_wall = [{i, j} == {1, 4} for i, j in ends[near].tolist()]
+    np.testing.assert_array_equal(in_room[near], same_room)
+    np.testing.assert_array_equal(in_wall[near], same_wall)
+    assert 0 < sum(same_room) < len(same_room)
+    assert sum(same_wall) == 2
+
+
+@either
+def test_classification__sees_planes_and_their_proximity_alone(config):
+    whole = by_pair(config, on_device(SCENE))
+    near = undirected_edges(SCENE, PROXIMITY)
+    planes = make_graph(*planes_of(SCENE).nodes[:4], part_of=[], proximity=near)
+    np.testing.assert_allclose(whole, by_pair(config, on_device(planes)), atol=1e-4)
+
+
+@either
+def test_classification__is_the_same_in_both_directions(config):
+    table = by_pair(config, on_device(SCENE))
+    np.testing.assert_array_equal(table, table.swapaxes(1, 2))
+    assert table[0].any() or table[1].any()
+
+
+@pytest.mark.parametrize("config", [SQUARE, CERTAIN])
+def test_classification_and_loss__do_not_depend_on_padding_and_numbering(config):
+    expected = by_pair(config, on_device(SCENE))
+    loss = jitted(config, "loss")(params_of(config), KEY(), on_device(SCENE))
+    order = np.r_[np.random.default_rng(1).permutation(NUM_PLANES), np.arange(NUM_PLANES, 12)]
+    place = np.ix_(range(3), order[:NUM_PLANES], order[:NUM_PLANES])
+    for graph, table in (
+        (on_device(SCENE, TWICE), expected),
+        (with_garbage(on_device(SCENE), 2), expected),
+        (on_device(reordered(SCENE, order)), expected[place]),
+    ):
+        np.testing.assert_allclose(by_pair(config, graph), table, atol=1e-4)
+        found = jitted(config, "loss")(params_of(config), KEY(), graph)
+        chex.assert_trees_all_close(found, loss, rtol=1e-3, atol=1e-4)
+
+
+def test_ec_l__does_not_see_how_the_building_stands():
+    expected = by_pair(CERTAIN, on_device(SCENE))
+    shaken = on_device(moved(SCENE, 0.7, (3, -8, 2), flip=True))
+    np.testing.assert_allclose(by_pair(CERTAIN, shaken), expected, atol=1e-2)
+
+
+def test_training_of_ec_square__turns_the_building_and_that_of_ec_l_drops_states():
+    for config in (SQUARE, L):
+        one, other = (
+            jitted(config, "loss")(params_of(config), jax.random.key(seed), on_device(SCENE))[0]
+            for seed in (0, 1)
+        )
+        assert abs(one - other) > 1e-3
+
+
+def test_turned__is_a_rotation_about_the_vertical():
+    found = turned(on_device(SCENE), jnp.float32(0.7)).nodes
+    expected = moved(SCENE, 0.7).nodes
+    np.testing.assert_allclose(found.position[:12], expected.position, atol=1e-5)
+    np.testing.assert_allclose(found.normal[:12], expected.normal, atol=1e-5)
+
+
+@either
+def test_loss__falls_and_its_gradient_reaches_every_network(config):
+    model, graph, optimiser = MODELS[config], on_device(lopsided()), optax.adam(3e-3)
+    params = jax.jit(model.init)(KEY(), graph)
+
+    @jax.jit
+    def train(params):
+        def step(carry, key):
+            params, state = carry
+            (loss, _), gradient = jax.value_and_grad(model.loss, has_aux=True)(params, key, graph)
+            updates, state = optimiser.update(gradient, state, params)
+            return (optax.apply_updates(params, updates), state), (loss, gradient)
+
+        return jax.lax.scan(step, (params, optimiser.init(params)), jax.random.split(KEY(), 60))[1]
+
+    losses, gradients = train(params)
+    chex.assert_tree_all_finite(gradients)
+    assert losses[-10:].mean() < 0.8 * losses[:10].mean()
+    for network in gradients.values():
+        assert any(np.any(leaf) for leaf in jax.tree.leaves(network))
+
+
+@either
+def test_gradient__is_finite_on_a_graph_of_padding_only(config):
+    empty = jax.tree.map(jnp.zeros_like, on_device(SCENE))
+    gradient = jax.jit(jax.grad(MODELS[config].loss, has_aux=True))
+    chex.assert_tree_all_finite(gradient(params_of(config), KEY(), empty))
+
+
+def test_certainty__is_one_less_the_entropy_of_the_mean_prediction():
+    sure, split = [9e9, 0, 0], [0, 0, -9e9]
+    logits = jnp.asarray([[sure, split, [0, 0, 0], sure], [sure, split, [0, 0, 0], sure[::-1]]])
+    expected = [1, 1 - np.log(2), 0, 1 - np.log(2)]
+    np.testing.assert_allclose(certainty_of(logits), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("passes", [0, 10])
+def test_passes_with_dropout__change_the_certainty_and_not_the_classes(passes):
+    config = dataclasses.replace(L, certainty_passes=passes)
+    classify = jax.jit(make_edge_classifier(config, SCALES).classify)
+    found, again = (
+        classify(params_of(L), jax.random.key(seed), on_device(SCENE)) for seed in (0, 1)
+    )
+    chex.assert_trees_all_equal(found[:2], again[:2])
+    near = near_planes(on_device(SCENE)).mask
+    assert (found.certainty[near] != again.certainty[near]).any() == (passes > 0)
+    assert ((found.certainty >= 0) & (found.certainty <= 1)).all()
+
+
+def oracle(config):
+    """Returns a model that knows the classes: its parameters are same room and same wall, N x N."""
+
+    def classify(params, key, graph):
+        ends = graph.senders, graph.receivers
+        near = near_planes(graph).mask
+        return Classified(*(near & table[ends] for table in params), jnp.ones(near.shape))
+
+    model = make_edge_classifier(dataclasses.replace(config), SCALES)
+    return model._replace(classify=classify, offset=ec._no_offset)
+
+
+def truth_of(scene, capacity):
+    """Returns which planes share a room and which a wall, and which planes are near."""
+    label, pairs = scene.nodes.label, undirected_edges(scene, PART_OF)
+    part_of = np.zeros((len(label), len(label)), bool)
+    part_of[pairs[:, 0], pairs[:, 1]] = part_of[pairs[:, 1], pairs[:, 0]] = True
+    tables = np.zeros((2, capacity.nodes, capacity.nodes), bool)
+    num_planes = (label == PLANE).sum()
+    for table, concept in zip(tables, (ROOM, WALL), strict=True):
+        of_concept = part_of[:num_planes, label == concept]
+        table[:num_planes, :num_planes] = of_concept.astype(int) @ of_concept.T > 0
+    return tables
+
+
+def all_near(scene, tables, capacity):
+    """Returns whether all planes that share a room or wall are joined by proximity."""
+    graph = connected(on_device(planes_of(scene), capacity))
+    near = np.zeros(tables.shape[1:], bool)
+    near[graph.senders, graph.receivers] = graph.edges.mask
+    return not (tables.any(axis=0) & ~near & ~np.eye(len(near), dtype=bool)).any()
+
+
+@pytest.mark.parametrize(
+    ("config", "drawn"), [(ECSquareConfig(), S_F_SQUARE), (ECLConfig(), S_F)], ids=["square", "l"]
+)
+def test_perfect_pairs__give_the_true_rooms_and_walls(config, drawn):
+    model, sizes = oracle(config), []
+    for index in range(12):
+        scene = make_scene(drawn, 5, index)
+        capacity = ec._capacity(len(planes_of(scene).nodes.label))
+        tables = truth_of(scene, capacity)
+        if capacity.nodes <= 32 and all_near(scene, tables, capacity):
+            [[found]] = complete(model, jnp.asarray(tables), [scene])
+            validate_graph(found.graph, "found")
+            assert exact_structure(found.graph, target(scene))
+            walls = found.graph.nodes.position[found.graph.nodes.label == WALL]
+            expected = scene.nodes.position[scene.nodes.label == WALL]
+            np.testing.assert_allclose(
+                walls[np.lexsort(walls.T)], expected[np.lexsort(expected.T)], atol=1e-4
+            )
+            sizes += np.bincount(undirected_edges(scene, PART_OF)[:, 1])[
+                scene.nodes.label == ROOM
+            ].tolist()
+    assert len(sizes) >= 8
+    assert (max(sizes) > 4) == (drawn == S_F)
+
+
+def first_planes(count):
+    planes = planes_of(SCENE)
+    nodes = jax.tree.map(lambda field: field[:count], planes.nodes)
+    return planes._replace(nodes=nodes, n_node=np.array([count], np.int32))
+
+
+def same(one, other):
+    return all(jax.tree.leaves(jax.tree.map(np.array_equal, one, other)))
+
+
+@either
+@pytest.mark.parametrize("offset", [(0, 0, 0), (5e6 + 0.123456789, -5e6, 100.0)])
+def test_planes__come_first_and_bit_for_bit_wherever_the_building_stands(config, offset):
+    scene = moved(SCENE, 0.3, offset)
+    [[found]] = complete(MODELS[config], params_of(config), [scene])
+    validate_graph(found.graph, "found")
+    for mine, given in zip(found.graph.nodes, planes_of(scene).nodes, strict=True):
+        assert mine.dtype == given.dtype
+        np.testing.assert_array_equal(mine[:NUM_PLANES], given)
+    new = found.graph.nodes.label[NUM_PLANES:]
+    assert len(new)
+    assert new.tolist() == sorted(new.tolist(), key=(WALL, ROOM).index)
+    assert (found.halt_reason, found.steps) == ("ONE_SHOT", 1)
+
+
+def test_a_graph__does_not_depend_on_what_it_is_completed_with():
+    scenes = [first_planes(count) for count in (8, 3, 6, 2, 7)]
+    model, params = MODELS[L], params_of(L)
+    together = complete(model, params, scenes, seed=7, samples=2)
+    alone = complete(model, params, scenes[:1], seed=7)
+    assert [len(samples) for samples in together] == [2] * 5
+    assert same(alone[0][0], together[0][0])
+    for scene, samples in zip(scenes, together, strict=True):
+        for one in samples:
+            assert (one.graph.nodes.label == PLANE).sum() == len(scene.nodes.label)
+
+
+def test_seeds__do_not_change_what_ec_square_finds():
+    one, other = (complete(MODELS[SQUARE], params_of(SQUARE), [SCENE], seed) for seed in (0, 1))
+    assert same(one, other)
+
+
+def test_networks__are_compiled_once_a_bucket():
+    traced = []
+
+    def classify(params, key, graph):
+        traced.append(graph.nodes.mask.shape)
+        return Classified(
+            *[jnp.zeros(graph.edges.mask.shape, bool)] * 2, jnp.ones(graph.edges.mask.shape)
+        )
+
+    model = MODELS[SQUARE]._replace(classify=classify)
+    floors = [make_scene(S_F_SQUARE, 0, index) for index in range(8)]
+    found = complete(model, {}, floors)
+    complete(model, {}, floors[::-1], seed=3)
+    assert len(traced) == len(set(traced)) > 1
+    for (one,), floor in zip(found, floors, strict=True):
+        assert same(one.graph.nodes, planes_of(floor).nodes)
+
+
+def test_regressed_rooms__stand_off_the_mean_of_their_planes():
+    means = make_edge_classifier(dataclasses.replace(L, room_centroids="mean"), SCALES)
+    truth = jnp.asarray(truth_of(SCENE, ec._capacity(NUM_PLANES)))
+    know = {"classify": lambda params, key, graph: oracle(L).classify(truth, key, graph)}
+    (one,), (other,) = (
+        complete(model._replace(**know), params_of(L), [lopsided()])[0]
+        for model in (MODELS[L], means)
+    )
+    np.testing.assert_array_equal(one.graph.senders, other.graph.senders)
+    apart = np.abs(one.graph.nodes.position - other.graph.nodes.position).max(axis=-1)
+    np.testing.assert_array_equal(apart > 1e-4, one.graph.nodes.label == ROOM)
+    np.testing.assert_allclose(
+        other.graph.nodes.position[9:], SCENE.nodes.position[9:11], atol=1e-5
+    )
+
+
+def test_target__is_the_truth_without_floors():
+    found = target(SCENE)
+    validate_graph(found, "target")
+    assert found.nodes.label.tolist() == [PLANE] * NUM_PLANES + [WALL, ROOM, ROOM]
+    expected = sorted(pair for pair in PART_OF_PAIRS if pair[1] != 11)
+    np.testing.assert_array_equal(undirected_edges(found, PART_OF), expected)
+    first = np.r_[11, np.arange(11)]  # the floor comes first
+    again = target(reordered(SCENE, first))
+    np.testing.assert_array_equal(undirected_edges(again, PART_OF), expected)
+    np.testing.assert_array_equal(again.nodes.position, found.nodes.position)
+
+
+def test_target__of_a_building_is_refused():
+    label = np.where(SCENE.nodes.label == FLOOR, BUILDING, SCENE.nodes.label)
+    building = SCENE._replace(nodes=SCENE.nodes._replace(label=label))
+    with pytest.raises(ValueError, match="know no concept above the room"):
+        target(building)
