@@ -3,17 +3,26 @@
 import dataclasses
 import functools
 import runpy
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 import jax
+import jax.numpy as jnp
 
+from sg3d_jax.baselines.edge_classifier import ECLConfig, ECSquareConfig
+from sg3d_jax.baselines.edge_features import Scales
+from sg3d_jax.baselines.midi_oracle import MiDiOracleConfig
 from sg3d_jax.data import registry, schema
+from sg3d_jax.fill.midi import MiDiConfig
+from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.flagg.sample import growth_capacity
 from sg3d_jax.scene.concepts import PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train import loop
 from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
+from sg3d_jax.train.models import CLASSIFYING, GROWING, METHODS, Model, ModelConfig, build_model
 from sg3d_jax.train.step import init_state
 from sg3d_jax.train.weights import save_weights
 
@@ -26,6 +35,30 @@ NUM_GRAPHS: Final = 10  # six to train on, two for validation, two for test
 
 def read_config(name: str) -> Config:
     return runpy.run_path(str(CONFIGS / f"{name}.py"))["CONFIG"]
+
+
+SMALL: Final = {
+    "encoder_width": 8,
+    "encoder_layers": 1,
+    "gates": 2,
+    "node_width": 8,
+    "pair_width": 8,
+    "layers": 1,
+    "heads": 2,
+    "noise_levels": 1,
+    "sampling_steps": 2,
+}
+
+
+STATISTICS: Final = Statistics(
+    label=jnp.array([0, 0.3, 0.4, 0.2, 0.1, 0]),
+    block_edge=jnp.array([0.9, 0.1]),
+    cross_edge=jnp.array([0.8, 0.2]),
+    distance_mean=jnp.asarray(3.1),
+    distance_std=jnp.asarray(1.7),
+    position_std=jnp.asarray(1.3),
+)
+SCALES: Final = Scales(jnp.asarray(0.4), jnp.asarray(7.0), jnp.asarray(9.0))
 
 
 @functools.cache
@@ -42,6 +75,24 @@ def _is_small(graph: SceneGraph) -> bool:
     return len(label) <= NODES and capacity.nodes == GROWN_NODES
 
 
+MODELS: Final[Mapping[str, ModelConfig]] = MappingProxyType(
+    {
+        "ec-square": ECSquareConfig(heads=1, width=4, decoder=(4,)),
+        "ec-l": ECLConfig(
+            node_width=4,
+            heads=2,
+            edge_width=4,
+            decoder=(4,),
+            certainty_passes=2,
+            readout_width=4,
+        ),
+        "midi-or": MiDiOracleConfig(**SMALL),
+        "fd4": read_config("test").model,
+        "midi": MiDiConfig(**SMALL),
+    }
+)
+
+
 def tiny_config(folder: Path) -> Config:
     """Returns a run on `small_floors`, which it writes into a folder."""
     path = folder / "floors.npz"
@@ -56,6 +107,28 @@ def tiny_config(folder: Path) -> Config:
         capacities=(NODES,),
         validate_every=12,
     )
+
+
+def shortest_run(folder: Path, method: str) -> Config:
+    """Returns a run of two steps of any method on `small_floors`."""
+    config = tiny_config(folder)
+    return dataclasses.replace(
+        config,
+        model=MODELS[method],
+        flagg=config.flagg if METHODS[method].kind is GROWING else None,
+        optimiser=OptimiserConfig(warmup_steps=1),
+        steps=2,
+        steps_per_call=2,
+        validate_every=2,
+    )
+
+
+def untrained_model(method: str) -> Model:
+    """Returns a model of any method, for a training set that is made up."""
+    kind = METHODS[method].kind
+    statistics = SCALES if kind is CLASSIFYING else STATISTICS
+    flagg = read_config("test").flagg if kind is GROWING else None
+    return build_model(MODELS[method], flagg, statistics)
 
 
 def untrained_weights(folder: Path) -> Path:

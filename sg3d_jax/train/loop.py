@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.interop.files import read_documents, replacing
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import exact_structure
@@ -23,6 +22,7 @@ from sg3d_jax.train.config import Config, check, to_json
 from sg3d_jax.train.dataset import load_split, stack_by_size
 from sg3d_jax.train.log import display, writers
 from sg3d_jax.train.models import (
+    Measured,
     Model,
     Params,
     build_model,
@@ -40,7 +40,7 @@ class Run(NamedTuple):
 
     config: Config
     model: Model
-    statistics: Statistics
+    statistics: Measured
     stacks: list[SceneGraph]  # training graphs by size
     validation: list[SceneGraph]  # host graphs
 

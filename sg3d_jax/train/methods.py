@@ -52,12 +52,11 @@ def load_method(name: str, data: str | None = None, diffusion_steps: int | None 
     suffix = Path(name).suffix.lower()
     named = parse(name)
     method, home = named or (name, None)
+    data = data or home
     if method not in BASELINES and (suffix == ".npz" or suffix not in READABLE):
-        weights = name if named is None else _weights_of(*named)
-        return _trained(weights, data or (None if weights == name else home), diffusion_steps)
+        return _trained(_weights_of(*named) if named else name, data, diffusion_steps)
     if diffusion_steps is not None:
         raise ValueError(f"{name} has no diffusion steps, got {diffusion_steps}")
-    data = data or home
     if data is None:
         raise ValueError(f"{name} is not of one data set, expected --data with one")
     source = DataConfig(name=data)

@@ -34,6 +34,7 @@ from sg3d_jax.train.statistics import statistics_of
 
 ModelConfig = FD4Config | MiDiOracleConfig | MiDiConfig | ECSquareConfig | ECLConfig
 Model = Flagg | MiDiOracle | EdgeClassifier
+Measured = Statistics | Scales  # what a model knows of its training set
 Params = Any  # nested dictionaries of arrays; of Flagg, those of its three modules
 
 
@@ -49,8 +50,8 @@ class Kind(NamedTuple):
       top: the highest concept of graphs that they can be trained and scored on.
     """
 
-    statistics: Callable[..., Any]
-    measure: Callable[[Any, Sequence[SceneGraph]], Any]
+    statistics: Callable[..., Measured]
+    measure: Callable[[Any, Sequence[SceneGraph]], Measured]
     params: Callable[[dict[str, Any]], Params]
     init: Callable[..., Params]
     loss: Callable[..., Any]
@@ -149,7 +150,9 @@ def method_of(config: ModelConfig) -> str:
     return _METHOD_OF[type(config)]
 
 
-def measure(config: ModelConfig, flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]) -> Any:
+def measure(
+    config: ModelConfig, flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]
+) -> Measured:
     """Counts what a model must know of its training set.
 
     Args:
@@ -160,7 +163,7 @@ def measure(config: ModelConfig, flagg: FlaggConfig | None, stacks: Sequence[Sce
     return METHODS[method_of(config)].kind.measure(flagg, stacks)
 
 
-def build_model(config: ModelConfig, flagg: FlaggConfig | None, statistics: Any) -> Model:
+def build_model(config: ModelConfig, flagg: FlaggConfig | None, statistics: Measured) -> Model:
     """Builds the functions of a model.
 
     Args:

@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.interop.files import replacing
 from sg3d_jax.train.config import Config, from_dict, to_json
-from sg3d_jax.train.models import METHODS, Model, Params, build_model, with_sampling_steps
+from sg3d_jax.train.models import METHODS, Measured, Model, Params, build_model, with_sampling_steps
 
 FORMAT = "sg3d_jax weights 2"
 
@@ -28,11 +27,11 @@ class Trained(NamedTuple):
     model: Model
     params: Params
     config: Config
-    statistics: Statistics
+    statistics: Measured
     name: str  # as it was asked for
 
 
-def save_weights(path: Path, config: Config, statistics: Statistics, params: Params) -> Path:
+def save_weights(path: Path, config: Config, statistics: Measured, params: Params) -> Path:
     """Writes weights to an npz file, under a temporary name first."""
     content: dict[str, Any] = dict(_flat(statistics, "statistics")) | dict(_flat(params, "params"))
     with replacing(path) as temporary:

@@ -4,7 +4,7 @@ import json
 import pytest
 
 from sg3d_jax.train.config import Config, OptimiserConfig, check, from_dict, to_dict, to_json
-from tests.tiny_run import CONFIGS, read_config
+from tests.tiny_run import CONFIGS, MODELS, read_config
 
 NAMES = sorted(path.stem for path in CONFIGS.glob("*.py"))
 
@@ -32,12 +32,24 @@ def test_what_is_not_given_has_its_default():
     )
 
 
+@pytest.mark.parametrize("method", MODELS)
+def test_json_says_which_method_it_is_of(method):
+    config = dataclasses.replace(read_config("test"), model=MODELS[method], flagg=None)
+    assert config.method == method
+    again = from_dict(json.loads(to_json(config)))
+    assert again == config
+    assert type(again.model) is type(config.model)
+
+
 def test_json_names_the_method_first():
     assert next(iter(to_dict(Config()).items())) == ("method", "fd4")
 
 
 def test_an_unknown_method_is_refused_with_those_there_are():
-    with pytest.raises(ValueError, match="unknown method 'fd5', expected one of fd4"):
+    with pytest.raises(
+        ValueError,
+        match="unknown method 'fd5', expected one of ec-square, ec-l, midi-or, fd4, midi",
+    ):
         from_dict({"method": "fd5"})
 
 
@@ -77,6 +89,7 @@ def test_an_unknown_field_is_refused_with_the_fields_there_are(path, owner, valu
         ({"steps": 2}, "optimiser.warmup_steps is 2, expected 0 to 1"),
         ({"optimiser": OptimiserConfig(warmup_steps=-1)}, "warmup_steps is -1, expected 0 to 7"),
         ({"flagg": None}, "flagg of fd4 is None, expected how it grows"),
+        ({"model": MODELS["ec-l"]}, "flagg of ec-l is FlaggConfig.*, expected None, because it"),
         ({"capacities": ()}, r"capacities is \[\], expected increasing node counts"),
         ({"capacities": (48, 24)}, r"capacities is \[48, 24\], expected increasing"),
         ({"capacities": (24, 24)}, r"capacities is \[24, 24\], expected increasing"),

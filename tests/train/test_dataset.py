@@ -77,12 +77,24 @@ def test_edge_slots_hold_every_edge_and_few_more(stacks):
         npt.assert_array_equal(stack.edges.mask.sum(axis=1), stack.n_edge[:, 0])
 
 
-def test_a_graph_that_no_capacity_holds_is_refused(floors):
-    largest = int(np.argmax([len(graph.nodes.label) for graph in floors]))
-    size = len(floors[largest].nodes.label)
-    sentence = f"graph {largest} has {size} nodes, more than the largest training capacity, 8"
-    with pytest.raises(ValueError, match=sentence):
-        stack_by_size(floors, (4, 8))
+def test_larger_graphs_get_further_buckets_each_twice_as_large(floors):
+    large = [graph for graph in floors if len(graph.nodes.label) > 16]
+    (stack,) = stack_by_size(large, (4, 8))
+    assert stack.nodes.label.shape == (len(large), 32)
+
+
+def test_edge_classifiers_are_refused_more_than_a_floor(tmp_path, monkeypatch):
+    schema.save(tmp_path / "a.npz", registry.make("s-b", 10), registry.header("s-b"))
+    monkeypatch.setattr(registry, "make", None)  # a name is refused before its graphs are made
+    for name, top in (("s-c", "city"), ("m-b", "building"), (str(tmp_path / "a.npz"), "building")):
+        with pytest.raises(ValueError, match=f"{name} reaches up to a {top}, .* because ec-square"):
+            load_split(DataConfig(name), "train", "midi", "ec-square")
+    assert len(load_split(DataConfig(str(tmp_path / "a.npz")), "train", "midi", "rand")) == 6
+
+
+def test_a_set_that_is_made_from_a_file_is_refused_with_the_command():
+    with pytest.raises(ValueError, match=r"p-f is made of a file .* `sg3d data import p-f FILE"):
+        load_split(DataConfig("p-f"), "test")
 
 
 def test_parts_share_no_graph_and_leave_none_out():

@@ -1,3 +1,4 @@
+import dataclasses
 import hashlib
 
 import jax
@@ -6,21 +7,13 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.flagg.step import Params
 from sg3d_jax.train import weights
+from sg3d_jax.train.models import CLASSIFYING, GROWING, METHODS, build_model
 from sg3d_jax.train.weights import load_weights, names, save_weights, with_diffusion_steps
-from tests.tiny_run import read_config
+from tests.tiny_run import MODELS, SCALES, STATISTICS, read_config
 
 CONFIG = read_config("test")
-STATISTICS = Statistics(
-    label=jnp.array([0, 0.3, 0.4, 0.2, 0.1, 0]),
-    block_edge=jnp.array([0.9, 0.1]),
-    cross_edge=jnp.array([0.8, 0.2]),
-    distance_mean=jnp.asarray(3.1),
-    distance_std=jnp.asarray(1.7),
-    position_std=jnp.asarray(1.3),
-)
 PARAMS = Params(
     insert={"params": {"dense_0": {"kernel": jnp.arange(6.0).reshape(2, 3) / 7}}},
     fill={"encoder": {"params": {"scale": jnp.asarray(0.1)}}, "topology": {"a": jnp.ones(2)}},
@@ -49,6 +42,20 @@ def test_weights_read_back_bit_for_bit(path):
     assert loaded.config == CONFIG
     assert loaded.name == str(path)
     assert loaded.model.config == CONFIG.flagg
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_weights_of_every_method_read_back(method, tmp_path):
+    spec = METHODS[method]
+    flagg = CONFIG.flagg if spec.kind is GROWING else None
+    config = dataclasses.replace(CONFIG, model=MODELS[method], flagg=flagg)
+    statistics = SCALES if spec.kind is CLASSIFYING else STATISTICS
+    params = PARAMS if spec.kind is GROWING else PARAMS.fill
+    loaded = load_weights(save_weights(tmp_path / "some.npz", config, statistics, params))
+    assert loaded.config == config
+    assert type(loaded.statistics) is type(statistics)
+    assert jax.tree.structure(loaded.params) == jax.tree.structure(params)
+    assert type(loaded.model) is type(build_model(config.model, flagg, statistics))
 
 
 def test_the_file_tells_numpy_alone_what_it_is(path):
