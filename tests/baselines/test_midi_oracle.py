@@ -33,7 +33,11 @@ STATISTICS = Statistics(
     position_std=jnp.float32(2.5),
 )
 SIZES = MiDiOracleConfig(
-    8, 1, 2, 8, 8, 1, 2, diffusion_steps=STEPS, noise_levels=4, sampling_steps=STEPS
+    *(8, 1, 2, 8, 8, 1, 2),
+    diffusion_steps=STEPS,
+    noise_levels=4,
+    sampling_steps=STEPS,
+    resamplings=0,
 )
 SCENE = two_rooms()
 NUM_NEW = len(SCENE.nodes.label) - NUM_PLANES
