@@ -110,6 +110,7 @@ def test_wheel__holds_every_file_of_the_package(tmp_path: Path) -> None:
     (wheel,) = tmp_path.glob("*.whl")
     own = {str(file.relative_to(ROOT)) for file in _own_files()}
     expected = {name for name in own if name.startswith("sg3d_jax/")}
+    expected |= {f"sg3d_jax/{name}" for name in own if name.startswith("configs/")}
     assert expected <= set(zipfile.ZipFile(wheel).namelist())
 
 

@@ -4,15 +4,20 @@ import re
 
 import pytest
 
-from sg3d_jax.metrics.paper import HEADINGS, PAPER, SCORES
+from sg3d_jax.metrics.paper import HEADINGS, PAPER, SCORES, TITLES
 from sg3d_jax.metrics.table import render, rows_by_data
 
 RESULT = {
-    "method": "fd4_new",
+    "method": "fd4",
+    "weights": "fd4-s-f",
     "data": "s-f",
     "scores": {name: {"mean": 0.1 * i, "sd": 0.01} for i, name in enumerate(SCORES)},
 }
-ONE_SEED = RESULT | {"method": "one seed", "scores": {"fgw": {"mean": 0.5, "sd": None}}}
+ONE_SEED = RESULT | {
+    "method": "some_file.json",
+    "weights": None,
+    "scores": {"fgw": {"mean": 0.5, "sd": None}},
+}
 
 
 def test_fgw_is_the_mean_of_its_parts_wherever_the_paper_has_it():
@@ -27,20 +32,42 @@ def test_recordings_alone_have_no_distribution_scores():
         assert {len(values) for values in methods.values()} == {expected}
 
 
-def test_our_rows_come_first_then_those_of_the_paper():
-    rows = rows_by_data([RESULT, ONE_SEED])["s-f"]
-    assert [row.method for row in rows[:3]] == ["fd4_new", "one seed", "Rand (paper)"]
-    assert rows[0].cells[1] == "0.100 ± 0.010"
-    assert rows[1].cells == ("0.500", *["-"] * 6)
-    assert rows[2].cells[0] == "0.69"
-    assert len(rows) == 2 + len(PAPER["s-f"])
+def test_our_row_of_a_method_is_under_that_of_the_paper_in_its_order():
+    ours = [RESULT | {"method": method} for method in reversed(TITLES)]
+    rows = rows_by_data([ONE_SEED, *ours])["s-f"]
+    assert [row.method for row in rows] == [
+        *("Rand (paper)", "Rand", "Rand, sized"),
+        *("EC-□ (paper)", "EC-□"),
+        *("EC-L (paper)", "EC-L"),
+        *("MiDi+Or (paper)", "MiDi+Or"),
+        *("FD4 (paper)", "FD4"),
+        *("MiDi (paper)", "MiDi"),
+        "some_file.json",
+    ]
+    assert rows[0].cells[0] == "0.69"
+    assert rows[1].cells[1] == "0.100 ± 0.010"
+    assert rows[-1].cells == ("0.500", *["-"] * 6)
+
+
+def test_several_results_of_a_method_tell_their_weights():
+    other = RESULT | {"weights": "runs/new/weights.npz"}
+    elsewhere = RESULT | {"data": "r-f"}
+    tables = rows_by_data([RESULT, other, elsewhere])
+    rows = [row.method for row in tables["s-f"]]
+    first = rows.index("FD4 (paper)") + 1
+    assert rows[first : first + 2] == ["FD4 (fd4-s-f)", "FD4 (runs/new/weights.npz)"]
+    assert "FD4" in [row.method for row in tables["r-f"]]
+
+
+def test_every_method_of_the_paper_has_a_title():
+    assert {method for methods in PAPER.values() for method in methods} < TITLES.keys()
 
 
 def test_every_data_set_has_a_table_of_its_own():
     tables = rows_by_data([RESULT, RESULT | {"data": "p-f"}, RESULT | {"data": "r-b"}])
     assert list(tables) == ["s-f", "p-f", "r-b"]
     assert len(tables["p-f"]) == 1
-    assert tables["r-b"][1].cells == ("0.81", "0.70", "0.92", "-", "-", "-", "-")
+    assert tables["r-b"][0].cells == ("0.81", "0.70", "0.92", "-", "-", "-", "-")
 
 
 def test_markdown_has_as_many_cells_in_every_line():
@@ -49,10 +76,10 @@ def test_markdown_has_as_many_cells_in_every_line():
 
 
 def test_latex_has_as_many_cells_in_every_line_and_escapes():
-    text = render([RESULT], "latex")
+    text = render([RESULT, ONE_SEED], "latex")
     lines = [line for line in text.split("\n") if line.endswith(r"\\")]
     assert {len(re.findall(r"(?<!\\)&", line)) for line in lines} == {len(HEADINGS)}
-    assert r"fd4\_new" in text
+    assert r"some\_file.json" in text
     assert r"EC-$\square$" in text
     assert "±" not in text
 
