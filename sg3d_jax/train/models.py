@@ -83,6 +83,10 @@ def _measure_cuts(flagg: FlaggConfig, stacks: Sequence[SceneGraph]) -> Statistic
     return statistics_of(functools.partial(step.cut_graph, flagg), stacks)
 
 
+def _measure_one_shot(flagg: None, stacks: Sequence[SceneGraph]) -> Statistics:
+    return statistics_of(lambda key, graph: one_shot_cut(graph), stacks, cuts_a_graph=1)
+
+
 def _params_of_modules(branches: dict[str, Any]) -> step.Params:
     """Returns the parameters of Flagg; a module without any left no branch in a file."""
     return step.Params(*(branches.get(module, {}) for module in step.Params._fields))
@@ -110,7 +114,7 @@ GROWING: Final = Kind(
 )
 ONE_SHOT: Final = Kind(
     statistics=Statistics,
-    measure=lambda flagg, stacks: statistics_of(lambda key, graph: one_shot_cut(graph), stacks),
+    measure=_measure_one_shot,
     params=lambda branches: branches,
     init=lambda model, key, graph: model.init(key, graph),
     loss=lambda model, params, key, graph: model.loss(params, key, graph),

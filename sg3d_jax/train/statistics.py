@@ -14,18 +14,21 @@ CUTS_A_GRAPH = 16
 
 
 def statistics_of(
-    cut_graph: Callable[[Key[Array, ""], SceneGraph], Cut], stacks: Sequence[SceneGraph]
+    cut_graph: Callable[[Key[Array, ""], SceneGraph], Cut],
+    stacks: Sequence[SceneGraph],
+    cuts_a_graph: int = CUTS_A_GRAPH,
 ) -> Statistics:
     """Counts the statistics of a training set on fixed random cuts of every graph.
 
     Args:
       cut_graph: cuts one complete padded graph as in training.
       stacks: of padded graphs with proximity edges; each graph counts the same.
+      cuts_a_graph: one is enough where every cut of a graph is the same.
     """
 
     def cut_all(graphs: SceneGraph, key: Key[Array, ""]) -> Statistics:
         def several(key: Key[Array, ""], graph: SceneGraph) -> object:
-            keys = jax.random.split(key, CUTS_A_GRAPH)
+            keys = jax.random.split(key, cuts_a_graph)
             return jax.vmap(lambda key: cut_graph(key, graph))(keys)
 
         cuts = jax.vmap(several)(jax.random.split(key, graphs.n_node.shape[0]), graphs)
