@@ -4,6 +4,7 @@ Source: paper, Sec. "FLAGG for graph extension": nodes are removed in blocks unt
 are left; the modules learn to undo one removal.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -76,7 +77,7 @@ def one_shot_cut(graph: SceneGraph) -> Cut:
       graph: padded and complete, `N` nodes of capacity.
 
     Returns:
-      The cut; its block has room for `one_shot_capacity(N)` nodes, and any beyond it are lost.
+      The cut; its block has room for `one_shot_capacity(N)` nodes. See `check_one_shot`.
 
     Source: FLAGG's one-shot schedule, T = 1.
     """
@@ -98,6 +99,22 @@ def one_shot_cut(graph: SceneGraph) -> Cut:
 def one_shot_capacity(num_nodes: int) -> int:
     """Returns the room for new nodes in a graph of N slots: half of it, the rest is planes."""
     return num_nodes // 2
+
+
+def check_one_shot(stacks: Sequence[SceneGraph]) -> None:
+    """Refuses stacks of padded graphs that have no room for their high-level nodes in one block.
+
+    Raises:
+      ValueError: one sentence with the numbers, and what to change.
+    """
+    for graphs in stacks:
+        nodes, room = graphs.nodes, one_shot_capacity(graphs.nodes.mask.shape[-1])
+        most = int(jnp.max(jnp.sum(nodes.mask & (nodes.label != PLANE), axis=-1)))
+        if most > room:
+            raise ValueError(
+                f"a graph in the bucket of {nodes.mask.shape[-1]} nodes has {most} that are not "
+                f"planes, expected at most {room}: leave this bucket out of capacities"
+            )
 
 
 def _keep(graph: SceneGraph, keep: Array) -> SceneGraph:

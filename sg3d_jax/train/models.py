@@ -25,7 +25,7 @@ from sg3d_jax.fill.fd4 import FD4Config, make_fd4
 from sg3d_jax.fill.midi import MiDiConfig, make_midi
 from sg3d_jax.fill.protocol import Fill, Statistics
 from sg3d_jax.flagg import sample, step
-from sg3d_jax.flagg.removal import one_shot_cut
+from sg3d_jax.flagg.removal import check_one_shot, one_shot_cut
 from sg3d_jax.flagg.sample import Completion
 from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg
 from sg3d_jax.scene.concepts import CITY, FLOOR
@@ -84,6 +84,7 @@ def _measure_cuts(flagg: FlaggConfig, stacks: Sequence[SceneGraph]) -> Statistic
 
 
 def _measure_one_shot(flagg: None, stacks: Sequence[SceneGraph]) -> Statistics:
+    check_one_shot(stacks)
     return statistics_of(lambda key, graph: one_shot_cut(graph), stacks, cuts_a_graph=1)
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sg3d_jax.flagg.blocks import fewest_coins
-from sg3d_jax.flagg.removal import draw_cut, one_shot_capacity, one_shot_cut
-from sg3d_jax.scene.concepts import PLANE, PROXIMITY
+from sg3d_jax.flagg.removal import check_one_shot, draw_cut, one_shot_capacity, one_shot_cut
+from sg3d_jax.scene.concepts import PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.padding import part_of_adjacency
 from tests.two_rooms import NUM_PLANES, on_device, two_rooms, with_garbage
@@ -151,3 +151,14 @@ def test_one_shot__leaves_the_planes_and_takes_all_else_as_one_block():
     found = np.delete(cut.block.edges[:NUM_HIGH], np.s_[NUM_HIGH:num_block], axis=1)
     np.testing.assert_array_equal(found[:, : NUM_HIGH + NUM_PLANES], expected)
     assert cut.block.edges.sum() == expected.sum()
+
+
+def test_one_shot__is_refused_where_a_bucket_has_no_room():
+    graphs = jax.tree.map(lambda leaf: leaf[None], on_device(SCENE))
+    check_one_shot([graphs])
+    label = jnp.where(jnp.arange(graphs.nodes.label.shape[1])[None] < 3, PLANE, ROOM)
+    crowded = graphs._replace(nodes=graphs.nodes._replace(label=label))
+    with pytest.raises(
+        ValueError, match="bucket of 16 nodes has 9 that are not planes, expected at"
+    ):
+        check_one_shot([graphs, crowded])
