@@ -13,18 +13,26 @@ import numpy as np
 import pytest
 
 import sg3d_jax
-from sg3d_jax import __version__, cli
+from sg3d_jax import __version__
 from sg3d_jax.data import registry
 from sg3d_jax.data.formats import read_graphs, write_graphs
 from sg3d_jax.flagg import sample
-from sg3d_jax.interop.planes import COLUMNS, planes_to_dict
 from sg3d_jax.metrics.paper import SCORES
 from sg3d_jax.scene.concepts import CONCEPTS
-from sg3d_jax.train import loop, models
+from sg3d_jax.train import methods, models
 from sg3d_jax.train import weights as weights_module
+from tests.command_line import (
+    SCENES,
+    as_csv,
+    documents,
+    observed,
+    refusal,
+    run,
+    write,
+    write_lines,
+)
 from tests.tiny_run import CONFIGS, ROOT, small_floors, untrained_weights
 
-SCENES = [planes_to_dict(graph) for graph in small_floors()[:3]]
 PNG = b"\x89PNG\r\n"
 load_once = functools.cache(weights_module.load_weights)  # a model is compiled once
 
@@ -39,55 +47,10 @@ def weights(tmp_path_factory):
 def _workplace(tmp_path, monkeypatch):
     """Files by relative names, one compilation, and no check that a vmapped scan fails."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(weights_module, "load_weights", load_once)
+    for module in (weights_module, methods):
+        monkeypatch.setattr(module, "load_weights", load_once)
     with jax.debug_key_reuse(False):
         yield
-
-
-def write(name, content):
-    with open(name, "w") as file:
-        file.write(content if isinstance(content, str) else json.dumps(content))
-    return name
-
-
-def write_lines(name, scenes):
-    return write(name, "".join(json.dumps(scene) + "\n" for scene in scenes))
-
-
-def as_csv(scene):
-    rows = [[*p["centroid"], *p["normal"], p["width"]] for p in scene["planes"]]
-    return "\n".join([",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows)]) + "\n"
-
-
-def run(*arguments):
-    cli.main([str(argument) for argument in arguments])
-
-
-def refusal(capsys, *arguments):
-    """Returns the one line of a refusal, and checks that it is one and nothing is written."""
-    before = sorted(os.listdir("."))
-    with pytest.raises(SystemExit) as caught:
-        run(*arguments)
-    assert caught.value.code == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("sg3d: ")
-    assert captured.err.count("\n") == 1
-    assert captured.err.endswith("\n")
-    assert sorted(os.listdir(".")) == before
-    return captured.err.removeprefix("sg3d: ").strip()
-
-
-def documents(name):
-    with open(name) as file:
-        return [json.loads(line) for line in file]
-
-
-def observed(document):
-    """Returns the planes of a grown document as the input had them."""
-    planes = [node for node in document["nodes"] if node["label"] == "plane"]
-    names = (("centroid", "position"), ("normal", "normal"), ("width", "width"))
-    return {"planes": [{theirs: plane[ours] for theirs, ours in names} for plane in planes]}
 
 
 def test_planes_become_a_graph_and_a_picture(weights, capsys):
@@ -387,8 +350,11 @@ def test_weights_are_evaluated(weights, capsys):
     )
     with open("scores.json") as file:
         content = json.load(file)
-    about = (content["method"], content["split"], content["graphs"], content["seeds"])
-    assert about == (weights, "validation", 2, [0, 1])
+    about = [content[name] for name in ("method", "weights", "split", "graphs", "seeds")]
+    assert about == ["fd4", weights, "validation", 2, [0, 1]]
+    assert content["command"].startswith(f"sg3d evaluate {weights}")
+    assert content["machine"]["cores"] == os.cpu_count()
+    assert len(content["seconds"]) == 2
     fgw = [np.mean(one["fgw_per_graph"]) for one in content["runs"]]
     assert content["scores"]["fgw"]["mean"] == pytest.approx(np.mean(fgw))
     assert content["scores"]["fgw"]["sd"] == pytest.approx(np.std(fgw, ddof=1))
@@ -400,26 +366,6 @@ def test_weights_are_evaluated(weights, capsys):
     assert float(row["gin"]) == content["scores"]["gin"]["mean"]
     assert row["seeds"] == "0 1"
     assert os.path.getsize("worst.png") > 0
-
-
-def test_rand_and_graphs_of_others_are_evaluated(capsys):
-    write_graphs("floors.jsonl", small_floors()[:10])
-    for method in ("rand", "rand-sized", "floors.jsonl"):
-        split = "all" if method == "floors.jsonl" else "test"
-        run("evaluate", method, "--data", "floors.jsonl", "--split", split, "-o", f"{method}.json")
-    names = [f"{name}.json" for name in ("rand", "rand-sized", "floors.jsonl")]
-    capsys.readouterr()
-    run("table", *names)
-    lines = capsys.readouterr().out.strip().split("\n")
-    assert [line.split(" | ")[0] for line in lines[2:]] == [
-        "| rand",
-        "| rand-sized",
-        "| floors.jsonl",
-    ]
-    assert "| floors.jsonl | 0.000 | 0.000 |" in lines[-1]
-    run("table", *names, "--to", "latex", "-o", "table.tex")
-    with open("table.tex") as file:
-        assert file.readline() == "\\begin{tabular}{lrrrrrrr}\n"
 
 
 def test_bad_input_to_evaluate_is_refused(weights, capsys):
@@ -462,67 +408,6 @@ def test_bad_input_to_table_is_refused(capsys):
         assert sentence in refusal(capsys, "table", *arguments)
 
 
-@pytest.fixture
-def trained_with(monkeypatch):
-    """Records with what `sg3d train` calls the training loop."""
-    calls = []
-
-    def train(config, directory):
-        calls.append((config, directory))
-        return directory / "weights.npz"
-
-    monkeypatch.setattr(loop, "train", train)
-    return calls
-
-
-def test_fields_are_overridden_by_their_names(trained_with, capsys):
-    run(
-        *("train", CONFIGS / "test.py", "--steps", 4, "--batch", 2, "-o", "there"),
-        *("--model.layers", 3, "--optimiser.learning-rate", "1e-4", "--flagg.coins", 1, 2),
-    )
-    ((config, directory),) = trained_with
-    assert (config.steps, config.batch, config.model.layers) == (4, 2, 3)
-    assert config.optimiser.learning_rate == 1e-4
-    assert config.flagg.coins == (1, 2)
-    assert config.capacities == (96,)  # of the file
-    assert str(directory) == "there"
-    assert capsys.readouterr().out.startswith("there/weights.npz")
-
-
-def test_a_run_without_a_directory_has_the_name_of_its_configuration(trained_with):
-    run("train", CONFIGS / "test.py")
-    assert str(trained_with[0][1]) == os.path.join("runs", "test")
-
-
-def test_bad_input_to_train_is_refused(capsys):
-    for arguments, sentence in (
-        (("nothing.py",), "nothing.py: no such configuration file"),
-        ((write("empty.py", ""),), "empty.py: expected a variable CONFIG"),
-        ((CONFIGS / "test.py", "--steps", 9), "steps is 9, expected a multiple of steps_per_call"),
-        ((CONFIGS / "test.py", "--data.name", "s-g", "-o", "run"), "unknown data set 's-g'"),
-    ):
-        assert sentence in refusal(capsys, "train", *arguments)
-
-
-def test_a_loss_that_is_not_finite_is_one_line(capsys, monkeypatch):
-    def diverge(config, directory):
-        raise FloatingPointError("the loss is nan")
-
-    monkeypatch.setattr(loop, "train", diverge)
-    assert refusal(capsys, "train", CONFIGS / "test.py") == "the loss is nan"
-
-
-def test_control_c_is_one_line(capsys, monkeypatch):
-    def interrupt(config, directory):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(loop, "train", interrupt)
-    with pytest.raises(SystemExit) as caught:
-        run("train", CONFIGS / "test.py")
-    assert caught.value.code == 130
-    assert capsys.readouterr().err == "sg3d: interrupted\n"
-
-
 @pytest.mark.parametrize("arguments", [[], ["--help"]])
 def test_help_names_every_command(capsys, arguments):
     with pytest.raises(SystemExit) as caught:
@@ -530,7 +415,8 @@ def test_help_names_every_command(capsys, arguments):
     assert caught.value.code == 0
     out = capsys.readouterr().out
     assert "usage: sg3d" in out
-    assert all(name in out for name in ("complete", "view", "export", "train", "evaluate", "data"))
+    commands = "complete", "view", "export", "train", "evaluate", "table", "sheet", "data"
+    assert [name for name in commands if name not in out] == []
 
 
 @pytest.mark.parametrize(
@@ -540,7 +426,8 @@ def test_help_names_every_command(capsys, arguments):
         (["view"], ["--index"]),
         (["evaluate"], ["--num-graphs", "--split", "--seeds", "--sheet"]),
         (["table"], ["--to", "latex"]),
-        (["train"], ["configs/", "CONFIG --help"]),
+        (["sheet"], ["--num-graphs", "--first", "--seed"]),
+        (["train"], ["configs/", "METHOD-DATASET", "NAME --help"]),
         (["train", CONFIGS / "test.py"], ["--steps", "--model.layers", "--output"]),
         (["export"], ["--to", "spark-dsg", "--walls"]),
         (["data"], ["make", "import", "describe", "check", "sheet"]),
