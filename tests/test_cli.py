@@ -1,4 +1,4 @@
-"""The command line, run in this process on the initial weights of a tiny run."""
+"""The command line, run in this process on random weights of a tiny model."""
 
 import csv
 import functools
@@ -31,16 +31,21 @@ from tests.command_line import (
     write,
     write_lines,
 )
-from tests.tiny_run import CONFIGS, ROOT, small_floors, untrained_weights
+from tests.tiny_run import CONFIGS, ROOT, quick_compiler, small_floors, untrained_weights
 
 PNG = b"\x89PNG\r\n"
 load_once = functools.cache(weights_module.load_weights)  # a model is compiled once
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module", autouse=True)
+def _quick_compiler():
+    with quick_compiler():
+        yield
+
+
+@pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    with jax.debug_key_reuse(False):
-        return str(untrained_weights(tmp_path_factory.mktemp("weights")))
+    return str(untrained_weights(tmp_path_factory.mktemp("weights")))
 
 
 @pytest.fixture(autouse=True)
@@ -366,6 +371,24 @@ def test_weights_are_evaluated(weights, capsys):
     assert float(row["gin"]) == content["scores"]["gin"]["mean"]
     assert row["seeds"] == "0 1"
     assert os.path.getsize("worst.png") > 0
+
+
+def test_rand_and_graphs_of_others_are_evaluated_and_put_in_a_table(capsys):
+    write_graphs("floors.jsonl", small_floors())
+    floors = "--data", "floors.jsonl"
+    run("evaluate", "rand", *floors, "-o", "rand.json")
+    run("evaluate", "rand-sized-s-f", *floors, "-o", "rand-sized.json")
+    run("evaluate", "floors.jsonl", *floors, "--split", "all", "-o", "floors.json")
+    names = [f"{name}.json" for name in ("floors", "rand-sized", "rand")]
+    capsys.readouterr()
+    run("table", *names)
+    lines = capsys.readouterr().out.strip().split("\n")
+    shown = [line.split(" | ")[0] for line in lines[2:]]
+    assert shown == ["| Rand", "| Rand, sized", "| floors.jsonl"]
+    assert "| floors.jsonl | 0.000 | 0.000 |" in lines[-1]
+    run("table", *names, "--to", "latex", "-o", "table.tex")
+    with open("table.tex") as file:
+        assert file.readline() == "\\begin{tabular}{lrrrrrrr}\n"
 
 
 def test_bad_input_to_evaluate_is_refused(weights, capsys):

@@ -16,19 +16,17 @@ from sg3d_jax.scene.graph import planes_of
 from sg3d_jax.train import loop, methods
 from sg3d_jax.train import weights as weights_module
 from sg3d_jax.train.config import to_json
-from sg3d_jax.train.models import CLASSIFYING, GROWING, METHODS, init
-from sg3d_jax.train.weights import load_weights, save_weights
+from sg3d_jax.train.models import GROWING, METHODS
+from sg3d_jax.train.weights import load_weights
 from sg3d_jax.viz import figure
 from tests.command_line import SCENES, documents, observed, refusal, run, write
 from tests.tiny_run import (
     CONFIGS,
-    SCALES,
-    STATISTICS,
+    quick_compiler,
     shortest_run,
     small_floors,
-    untrained_model,
+    untrained_weights,
 )
-from tests.two_rooms import on_device, random_params, two_rooms
 
 FD4 = load_weights("fd4-s-f")
 load_once = functools.cache(weights_module.load_weights)  # a model is compiled once
@@ -37,10 +35,8 @@ load_once = functools.cache(weights_module.load_weights)  # a model is compiled 
 @pytest.fixture(scope="module", autouse=True)
 def _quick_compiler():
     """What is compiled here runs for milliseconds."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    with jax.debug_key_reuse(False):
+    with jax.debug_key_reuse(False), quick_compiler():
         yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(autouse=True)
@@ -55,18 +51,12 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("weights")
 
 
-@functools.cache
-def untrained(method, folder):
-    """Writes weights of a method, drawn at random."""
-    config, model = shortest_run(folder, method), untrained_model(method)
-    params = random_params(functools.partial(init, model), on_device(two_rooms()))
-    statistics = SCALES if METHODS[method].kind is CLASSIFYING else STATISTICS
-    return str(save_weights(folder / f"{method}.npz", config, statistics, params))
+untrained = functools.cache(untrained_weights)
 
 
 @pytest.fixture(scope="module", params=["ec-square", "ec-l", "midi-or", "midi"])
 def weights(request, folder):
-    return request.param, untrained(request.param, folder)
+    return request.param, str(untrained(folder, request.param))
 
 
 def write_floors():
@@ -153,26 +143,8 @@ def test_diffusion_steps_are_those_of_every_method_that_diffuses(weights, capsys
 @pytest.mark.parametrize("method", ["ec-square", "ec-l"])
 def test_edge_classifiers_are_refused_more_than_a_floor(method, folder, capsys):
     for data, top in (("s-c", "city"), ("r-b", "building")):
-        line = refusal(capsys, "evaluate", untrained(method, folder), "--data", data)
+        line = refusal(capsys, "evaluate", untrained(folder, method), "--data", data)
         assert line.startswith(f"{data} reaches up to a {top}, expected single floors")
-
-
-def test_rand_and_graphs_of_others_are_evaluated_and_put_in_a_table(capsys):
-    write_floors()
-    floors = "--data", "floors.jsonl"
-    run("evaluate", "rand", *floors, "-o", "rand.json")
-    run("evaluate", "rand-sized-s-f", *floors, "-o", "rand-sized.json")
-    run("evaluate", "floors.jsonl", *floors, "--split", "all", "-o", "floors.json")
-    names = [f"{name}.json" for name in ("floors", "rand-sized", "rand")]
-    capsys.readouterr()
-    run("table", *names)
-    lines = capsys.readouterr().out.strip().split("\n")
-    shown = [line.split(" | ")[0] for line in lines[2:]]
-    assert shown == ["| Rand", "| Rand, sized", "| floors.jsonl"]
-    assert "| floors.jsonl | 0.000 | 0.000 |" in lines[-1]
-    run("table", *names, "--to", "latex", "-o", "table.tex")
-    with open("table.tex") as file:
-        assert file.readline() == "\\begin{tabular}{lrrrrrrr}\n"
 
 
 def test_a_name_is_a_method_on_a_data_set(monkeypatch):
@@ -201,7 +173,7 @@ def test_methods_are_drawn_on_the_same_scenes(folder, monkeypatch):
     rows = []
     monkeypatch.setattr(figure, "contact_sheet", lambda drawn, path: rows.extend(drawn))
     write_floors()
-    weights = untrained("ec-l", folder)
+    weights = untrained(folder, "ec-l")
     options = "--data", "floors.jsonl", "--num-graphs", 2, "--split", "all", "--first", 3
     run("sheet", "rand-s-f", weights, *options, "-o", "a.png")
     titles, graphs = zip(*rows, strict=True)
@@ -217,7 +189,7 @@ def test_bad_input_to_sheet_is_refused(capsys):
     sound = "rand-s-f", "--data", write_floors(), "-o", "a.png"
     for arguments, sentence in (
         (("-o", "a.png"), "the number of methods must be at least 1, got 0"),
-        (("rand-s-f", "rand-s-f-square", "-o", "a.png"), "rand-s-f-square is of s-f-square and"),
+        (("fd4-s-f", "fd4-s-f-square", "-o", "a.png"), "fd4-s-f-square is of s-f-square and"),
         ((*sound, "--num-graphs", 0), "--num-graphs must be at least 1, got 0"),
         ((*sound, "--first", -1), "--first must be at least 0, got -1"),
         ((*sound, "--first", 2), "--first must be in 0..1, got 2"),

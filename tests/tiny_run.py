@@ -1,9 +1,10 @@
 """A run so small that it trains in seconds, on floors that share one bucket of every kind."""
 
+import contextlib
 import dataclasses
 import functools
 import runpy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -20,11 +21,18 @@ from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.flagg.sample import growth_capacity
 from sg3d_jax.scene.concepts import PLANE
 from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.train import loop
 from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
-from sg3d_jax.train.models import CLASSIFYING, GROWING, METHODS, Model, ModelConfig, build_model
-from sg3d_jax.train.step import init_state
+from sg3d_jax.train.models import (
+    CLASSIFYING,
+    GROWING,
+    METHODS,
+    Model,
+    ModelConfig,
+    build_model,
+    init,
+)
 from sg3d_jax.train.weights import save_weights
+from tests.two_rooms import on_device, random_params, two_rooms
 
 ROOT: Final = Path(__file__).parents[1]
 CONFIGS: Final = ROOT / "configs"
@@ -131,8 +139,19 @@ def untrained_model(method: str) -> Model:
     return build_model(MODELS[method], flagg, statistics)
 
 
-def untrained_weights(folder: Path) -> Path:
-    """Writes the initial weights of a run on `small_floors`."""
-    run = loop.prepare(tiny_config(folder))
-    state = init_state(run.config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
-    return save_weights(folder / "tiny.npz", run.config, run.statistics, state.params)
+def untrained_weights(folder: Path, method: str = "fd4") -> Path:
+    """Writes weights of a method, drawn at random, for `small_floors`."""
+    config, model = shortest_run(folder, method), untrained_model(method)
+    params = random_params(functools.partial(init, model), on_device(two_rooms()))
+    statistics = SCALES if METHODS[method].kind is CLASSIFYING else STATISTICS
+    return save_weights(folder / f"{method}.npz", config, statistics, params)
+
+
+@contextlib.contextmanager
+def quick_compiler() -> Iterator[None]:
+    """Compiles in half the time, for programs that run for milliseconds."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", False)
