@@ -358,7 +358,7 @@ def _complete_lanes(
     capacity = Capacity(
         max(len(graph.nodes.label) for graph in graphs), max(len(graph.senders) for graph in graphs)
     )
-    steps = np.ones(len(graphs), np.int32)
+    steps = jnp.ones(len(graphs), jnp.int32)
     return Grown(stack(graphs, capacity), ONE_SHOT * steps, steps)
 
 
@@ -369,7 +369,8 @@ def _rooms_and_walls(
     pairs = np.stack([graph.senders, graph.receivers], axis=-1)
     once = pairs[:, 0] < pairs[:, 1]
     in_room, in_wall = once & classified.same_room, once & classified.same_wall
-    return model.rooms(pairs[in_room], classified.certainty[in_room]), pairs[in_wall]
+    certainty = np.asarray(classified.certainty)[in_room]
+    return model.rooms(pairs[in_room], certainty), pairs[in_wall]
 
 
 def _unstacked(stacked: Any) -> list[Any]:
