@@ -23,11 +23,11 @@ from jaxtyping import Array, Float, Int, Key
 
 from sg3d_jax.diffusion import gaussian
 from sg3d_jax.diffusion.schedules import strided_times
-from sg3d_jax.fill import midi
+from sg3d_jax.fill import digress, midi
 from sg3d_jax.fill.midi import Frame, MiDiConfig, Schedules
 from sg3d_jax.fill.protocol import Params, Statistics, frame_centre
 from sg3d_jax.flagg.removal import one_shot_capacity, one_shot_cut
-from sg3d_jax.flagg.sample import ONE_SHOT, Completion, Grown, complete_in_batches
+from sg3d_jax.flagg.sample import CAPACITY, ONE_SHOT, Completion, Grown, complete_in_batches
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, OldGraphEncoder
 from sg3d_jax.scene.concepts import PLANE
@@ -109,7 +109,7 @@ def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOr
         encoder_params = encoder.init(keys[0], cut.survivors)
         conditioning = apply(encoder, encoder_params, cut.survivors)
         block, centre = cut.block, frame_of(cut.survivors).centre
-        inputs = block.mask, *midi.digress.topology_of(block), block.position, jnp.zeros(())
+        inputs = block.mask, *digress.topology_of(block), block.position, jnp.zeros(())
         return {
             "encoder": encoder_params,
             "denoiser": network.init(keys[1], conditioning, centre, *inputs),
@@ -150,16 +150,8 @@ def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOr
             def draw(noisy: midi.State, key: Key[Array, ""]) -> tuple[midi.State, midi.State]:
                 key_planes, key_draw, key_undo = jax.random.split(key, 3)
                 conditioning = observe(params, key_planes, planes, frame, signal)
-                predicted = midi.denoise(
-                    network,
-                    params["denoiser"],
-                    conditioning,
-                    frame,
-                    block_mask,
-                    noisy,
-                    signal,
-                    now,
-                )
+                known = conditioning, frame, block_mask
+                predicted = midi.denoise(network, params["denoiser"], *known, noisy, signal, now)
                 drawn = midi.reverse_step(
                     key_draw, noisy, predicted, signal_next, signal, *masks, statistics
                 )
@@ -173,8 +165,9 @@ def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOr
         keys = jax.random.split(key_steps, config.sampling_steps)
         start = midi.draw_start(key_start, *masks, statistics)
         state, _ = jax.lax.scan(step, start, (keys, times[:-1], times[1:]))
-        graph, _ = append_block(planes, midi.to_block(state, frame, block_mask))
-        return Grown(without_proximity(graph), jnp.asarray(ONE_SHOT), jnp.asarray(1))
+        graph, fits = append_block(planes, midi.to_block(state, frame, block_mask))
+        reason = jnp.where(fits, ONE_SHOT, CAPACITY)
+        return Grown(without_proximity(graph), reason, jnp.asarray(1))
 
     return MiDiOracle(init, loss, sample)
 
@@ -208,7 +201,8 @@ def complete(
       samples: graphs a scene.
 
     Returns:
-      For every scene, in order, its samples, with the halt reason "ONE_SHOT".
+      For every scene, in order, its samples, with the halt reason "ONE_SHOT"; "CAPACITY" if there
+      were more edges than slots, so that some are missing.
 
     Raises:
       ValueError: a scene has nothing beside its planes, so that there is no number to be told.
