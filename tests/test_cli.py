@@ -31,16 +31,10 @@ from tests.command_line import (
     write,
     write_lines,
 )
-from tests.tiny_run import CONFIGS, ROOT, quick_compiler, small_floors, untrained_weights
+from tests.tiny_run import CONFIGS, ROOT, small_floors, untrained_weights
 
 PNG = b"\x89PNG\r\n"
 load_once = functools.cache(weights_module.load_weights)  # a model is compiled once
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _quick_compiler():
-    with quick_compiler():
-        yield
 
 
 @pytest.fixture(scope="module")

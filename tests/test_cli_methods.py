@@ -22,7 +22,6 @@ from sg3d_jax.viz import figure
 from tests.command_line import SCENES, documents, observed, refusal, run, write
 from tests.tiny_run import (
     CONFIGS,
-    quick_compiler,
     shortest_run,
     small_floors,
     untrained_weights,
@@ -33,9 +32,9 @@ load_once = functools.cache(weights_module.load_weights)  # a model is compiled 
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _quick_compiler():
-    """What is compiled here runs for milliseconds."""
-    with jax.debug_key_reuse(False), quick_compiler():
+def _no_check_of_key_reuse():
+    """JAX takes a vmapped scan over keys for their reuse."""
+    with jax.debug_key_reuse(False):
         yield
 
 

@@ -1,15 +1,13 @@
 """A run so small that it trains in seconds, on floors that share one bucket of every kind."""
 
-import contextlib
 import dataclasses
 import functools
 import runpy
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-import jax
 import jax.numpy as jnp
 
 from sg3d_jax.baselines.edge_classifier import ECLConfig, ECSquareConfig
@@ -145,13 +143,3 @@ def untrained_weights(folder: Path, method: str = "fd4") -> Path:
     params = random_params(functools.partial(init, model), on_device(two_rooms()))
     statistics = SCALES if METHODS[method].kind is CLASSIFYING else STATISTICS
     return save_weights(folder / f"{method}.npz", config, statistics, params)
-
-
-@contextlib.contextmanager
-def quick_compiler() -> Iterator[None]:
-    """Compiles in half the time, for programs that run for milliseconds."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    try:
-        yield
-    finally:
-        jax.config.update("jax_disable_most_optimizations", False)

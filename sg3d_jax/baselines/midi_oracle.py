@@ -27,7 +27,7 @@ from sg3d_jax.fill import digress, midi
 from sg3d_jax.fill.midi import Frame, MiDiConfig, Schedules
 from sg3d_jax.fill.protocol import Params, Statistics, frame_centre
 from sg3d_jax.flagg.removal import one_shot_capacity, one_shot_cut
-from sg3d_jax.flagg.sample import CAPACITY, ONE_SHOT, Completion, Grown, complete_in_batches
+from sg3d_jax.flagg.sample import ONE_SHOT, Completion, Grown, complete_in_batches
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, OldGraphEncoder
 from sg3d_jax.scene.concepts import PLANE
@@ -165,11 +165,27 @@ def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOr
         keys = jax.random.split(key_steps, config.sampling_steps)
         start = midi.draw_start(key_start, *masks, statistics)
         state, _ = jax.lax.scan(step, start, (keys, times[:-1], times[1:]))
-        graph, fits = append_block(planes, midi.to_block(state, frame, block_mask))
-        reason = jnp.where(fits, ONE_SHOT, CAPACITY)
-        return Grown(without_proximity(graph), reason, jnp.asarray(1))
+        graph, _ = append_block(_with_room(planes), midi.to_block(state, frame, block_mask))
+        return Grown(without_proximity(graph), jnp.asarray(ONE_SHOT), jnp.asarray(1))
 
     return MiDiOracle(init, loss, sample)
+
+
+def _with_room(planes: SceneGraph) -> SceneGraph:
+    """Appends slots for every edge that a block can have, so that none is lost."""
+    num_nodes = planes.nodes.mask.shape[0]
+    num_block = one_shot_capacity(num_nodes)
+    slots = num_block * (num_block + 2 * num_nodes)
+
+    def widen(array: Array) -> Array:
+        return jnp.pad(array, (0, slots))
+
+    return planes._replace(
+        edges=jax.tree.map(widen, planes.edges),
+        senders=widen(planes.senders),
+        receivers=widen(planes.receivers),
+        n_edge=planes.n_edge + jnp.asarray([0, slots]),
+    )
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -201,8 +217,7 @@ def complete(
       samples: graphs a scene.
 
     Returns:
-      For every scene, in order, its samples, with the halt reason "ONE_SHOT"; "CAPACITY" if there
-      were more edges than slots, so that some are missing.
+      For every scene, in order, its samples, with the halt reason "ONE_SHOT".
 
     Raises:
       ValueError: a scene has nothing beside its planes, so that there is no number to be told.

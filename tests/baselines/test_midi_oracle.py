@@ -85,10 +85,9 @@ def test_samples__have_the_planes_bit_for_bit_and_as_many_nodes_as_told(params, 
 
 
 @jax.debug_key_reuse(False)
-@pytest.mark.parametrize("resamplings", [0, 1])
-def test_a_certain_network__gives_the_scene(monkeypatch, params, resamplings):
+def test_a_certain_network__gives_the_scene(monkeypatch, params):
     monkeypatch.setattr(midi, "RelaxedTransformer", Certain)
-    model = make_midi_oracle(dataclasses.replace(SIZES, resamplings=resamplings), STATISTICS)
+    model = make_midi_oracle(dataclasses.replace(SIZES, resamplings=1), STATISTICS)
     [[grown]] = complete(model, params, [SCENE])
     assert (grown.halt_reason, grown.steps) == ("ONE_SHOT", 1)
     np.testing.assert_array_equal(grown.graph.nodes.label, SCENE.nodes.label)

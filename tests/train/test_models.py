@@ -12,7 +12,7 @@ from sg3d_jax.scene.concepts import FLOOR
 from sg3d_jax.train import models
 from sg3d_jax.train.models import CLASSIFYING, GROWING, METHODS
 from sg3d_jax.train.step import init_state, make_train_call
-from tests.tiny_run import MODELS, quick_compiler, shortest_run, small_floors, untrained_model
+from tests.tiny_run import MODELS, shortest_run, small_floors, untrained_model
 from tests.two_rooms import CAPACITY, on_device, two_rooms
 
 GROWN = [name for name, spec in METHODS.items() if spec.kind is GROWING]
@@ -53,8 +53,7 @@ def test_every_method_has_a_training_step(method, tmp_path):
 @pytest.mark.parametrize("method", ["ec-l", "midi-or"])  # the others train in other tests
 def test_what_is_counted_is_what_the_model_is_built_with(method):
     stack = jax.tree.map(lambda leaf: leaf[None], on_device(two_rooms(), CAPACITY))
-    with quick_compiler():
-        counted = models.measure(MODELS[method], None, [stack])
+    counted = models.measure(MODELS[method], None, [stack])
     assert type(counted) is METHODS[method].kind.statistics
     assert type(counted) is (Scales if method in CLASSIFIERS else Statistics)
 
