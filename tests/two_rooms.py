@@ -7,9 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.scene.concepts import FLOOR, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
-from sg3d_jax.scene.padding import Capacity, pad
+from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of, undirected_edges
+from sg3d_jax.scene.padding import Block, Capacity, pad, part_of_adjacency
+from sg3d_jax.scene.proximity import connect_planes
 
 CAPACITY: Final = Capacity(16, 128)
 TWICE: Final = Capacity(32, 256)
@@ -21,7 +23,18 @@ PART_OF_PAIRS: Final = [
     *[(plane, 10) for plane in range(4, 8)],
     *[(9, 11), (10, 11)],
 ]
+STATISTICS: Final = Statistics(
+    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
+    block_edge=jnp.asarray([0.7, 0.3]),
+    cross_edge=jnp.asarray([0.6, 0.4]),
+    distance_mean=jnp.float32(2),
+    distance_std=jnp.float32(0.5),
+    position_std=jnp.float32(2.5),
+)
 WEST, EAST = (0.0, 4.0, 0.0, 3.0), (4.2, 9.0, 0.1, 3.4)  # x and y of both rooms, metres
+
+
+_connect = jax.jit(connect_planes)
 
 
 def planes_of_room(
@@ -51,6 +64,21 @@ def two_rooms() -> SceneGraph:
 
 def on_device(graph: SceneGraph, capacity: Capacity = CAPACITY) -> SceneGraph:
     return jax.tree.map(jnp.asarray, pad(graph, capacity))
+
+
+def observed(graph: SceneGraph) -> SceneGraph:
+    """Returns the planes of a host graph on the device, connected."""
+    return _connect(on_device(planes_of(graph)))
+
+
+def all_at_once() -> Block:
+    """Returns the wall, the rooms and the floor as one block on the planes."""
+    graph = on_device(two_rooms())
+    adjacency = part_of_adjacency(graph)[NUM_PLANES:12]
+    old = adjacency.at[:, NUM_PLANES:].set(False)
+    edges = jnp.concatenate([adjacency[:, NUM_PLANES:12], old], axis=1)
+    new = jax.tree.map(lambda field: field[NUM_PLANES:12], graph.nodes)
+    return Block(new.label, new.position, edges, new.mask)
 
 
 def moved(

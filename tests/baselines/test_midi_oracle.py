@@ -14,24 +14,23 @@ from sg3d_jax.baselines.midi_oracle import (
 )
 from sg3d_jax.fill import midi
 from sg3d_jax.fill.midi import Frame, make_schedules
-from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.flagg.removal import one_shot_capacity, one_shot_cut
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
 from sg3d_jax.scene.concepts import NUM_CONCEPTS, PART_OF, PLANE
 from sg3d_jax.scene.graph import planes_of, undirected_edges
 from sg3d_jax.scene.padding import unpad
 from sg3d_jax.scene.validate import validate_graph
-from tests.two_rooms import CAPACITY, NUM_PLANES, moved, on_device, random_params, two_rooms
+from tests.two_rooms import (
+    CAPACITY,
+    NUM_PLANES,
+    STATISTICS,
+    moved,
+    on_device,
+    random_params,
+    two_rooms,
+)
 
 STEPS = 3
-STATISTICS = Statistics(
-    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
-    block_edge=jnp.asarray([0.7, 0.3]),
-    cross_edge=jnp.asarray([0.6, 0.4]),
-    distance_mean=jnp.float32(2),
-    distance_std=jnp.float32(0.5),
-    position_std=jnp.float32(2.5),
-)
 SIZES = MiDiOracleConfig(
     *(8, 1, 2, 8, 8, 1, 2),
     diffusion_steps=STEPS,

@@ -22,6 +22,14 @@ STATISTICS = Statistics(
 )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _optimised():
+    """Symmetry to the last bit is that of programs as users compile them."""
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)
+
+
 class Told(DistanceNetwork):
     """A network that predicts one number, times the noisy distance if asked to."""
 

@@ -5,30 +5,20 @@ import numpy as np
 import pytest
 
 from sg3d_jax.fill.fd4 import FD4Config, make_fd4
-from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
-from sg3d_jax.scene.graph import planes_of
-from sg3d_jax.scene.padding import Block, part_of_adjacency
-from sg3d_jax.scene.proximity import connect_planes
 from tests.two_rooms import (
     CAPACITY,
     NUM_PLANES,
+    STATISTICS,
+    all_at_once,
     moved,
-    on_device,
+    observed,
     random_params,
     rotation,
     two_rooms,
 )
 
 STEPS = 3
-STATISTICS = Statistics(
-    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
-    block_edge=jnp.asarray([0.7, 0.3]),
-    cross_edge=jnp.asarray([0.6, 0.4]),
-    distance_mean=jnp.float32(2),
-    distance_std=jnp.float32(0.5),
-    position_std=jnp.float32(1),
-)
 
 
 def make(steps):
@@ -39,22 +29,7 @@ def make(steps):
 
 
 FILL = make(STEPS)
-connect = jax.jit(connect_planes)
 loss_and_gradient = jax.jit(jax.value_and_grad(FILL.loss, has_aux=True))
-
-
-def observed(graph):
-    return connect(on_device(planes_of(graph)))
-
-
-def all_at_once():
-    """The wall, the rooms and the floor as one block on the planes."""
-    graph = on_device(two_rooms())
-    adjacency = part_of_adjacency(graph)[NUM_PLANES:12]
-    old = adjacency.at[:, NUM_PLANES:].set(False)
-    edges = jnp.concatenate([adjacency[:, NUM_PLANES:12], old], axis=1)
-    new = jax.tree.map(lambda field: field[NUM_PLANES:12], graph.nodes)
-    return Block(new.label, new.position, edges, new.mask)
 
 
 @pytest.fixture(scope="module")

@@ -8,23 +8,20 @@ import pytest
 
 from sg3d_jax.fill import midi
 from sg3d_jax.fill.midi import Frame, MiDiConfig, State, make_midi, make_schedules
-from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
 from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
-from sg3d_jax.scene.graph import planes_of
-from sg3d_jax.scene.padding import Block, part_of_adjacency
-from sg3d_jax.scene.proximity import connect_planes
-from tests.two_rooms import CAPACITY, NUM_PLANES, moved, on_device, random_params, two_rooms
+from tests.two_rooms import (
+    CAPACITY,
+    NUM_PLANES,
+    STATISTICS,
+    all_at_once,
+    moved,
+    observed,
+    random_params,
+    two_rooms,
+)
 
 STEPS = 3
-STATISTICS = Statistics(
-    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
-    block_edge=jnp.asarray([0.7, 0.3]),
-    cross_edge=jnp.asarray([0.6, 0.4]),
-    distance_mean=jnp.float32(2),
-    distance_std=jnp.float32(0.5),
-    position_std=jnp.float32(2.5),
-)
 SIZES = MiDiConfig(8, 1, 2, 8, 8, 1, 2, diffusion_steps=STEPS, noise_levels=4, sampling_steps=STEPS)
 FILL = make_midi(SIZES, STATISTICS)
 SCHEDULES = make_schedules(MiDiConfig())
@@ -39,20 +36,6 @@ class Certain(RelaxedTransformer):
         block = wall()
         logits = 30.0 * jax.nn.one_hot(block.label, NUM_CONCEPTS)
         return logits, 30.0 * jax.nn.one_hot(block.edges + 0, 2), block.position
-
-
-def observed(graph):
-    return jax.jit(connect_planes)(on_device(planes_of(graph)))
-
-
-def all_at_once():
-    """The wall, the rooms and the floor as one block on the planes."""
-    graph = on_device(two_rooms())
-    adjacency = part_of_adjacency(graph)[NUM_PLANES:12]
-    old = adjacency.at[:, NUM_PLANES:].set(False)
-    edges = jnp.concatenate([adjacency[:, NUM_PLANES:12], old], axis=1)
-    new = jax.tree.map(lambda field: field[NUM_PLANES:12], graph.nodes)
-    return Block(new.label, new.position, edges, new.mask)
 
 
 def wall():
