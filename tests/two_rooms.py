@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.nn.graph_transformer import Gates
 from sg3d_jax.scene.concepts import FLOOR, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of, undirected_edges
 from sg3d_jax.scene.padding import Block, Capacity, pad, part_of_adjacency
@@ -31,6 +32,7 @@ STATISTICS: Final = Statistics(
     distance_std=jnp.float32(0.5),
     position_std=jnp.float32(2.5),
 )
+NO_GATES: Final = Gates(jnp.zeros((0, 0)), jnp.zeros(0, int), jnp.zeros(0, int), None)
 WEST, EAST = (0.0, 4.0, 0.0, 3.0), (4.2, 9.0, 0.1, 3.4)  # x and y of both rooms, metres
 
 

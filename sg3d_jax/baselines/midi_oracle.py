@@ -88,7 +88,8 @@ def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOr
       config: sizes and steps.
       statistics: marginals and spread of positions, counted on one-shot cuts.
     """
-    encoder = OldGraphEncoder(config.encoder_width, config.encoder_layers, config.gates)
+    sizes = config.encoder_width, config.encoder_layers, config.gates
+    encoder = OldGraphEncoder(*sizes, many_rows=True)
     network, schedules = midi.make_network(config), midi.make_schedules(config)
 
     def frame_of(planes: SceneGraph) -> Frame:

@@ -24,6 +24,7 @@ def complete(
     output: Output,
     picture: Path | None = None,
     samples: int = 1,
+    candidates: int = 1,
     seed: int = 0,
     weights: str = DEFAULT_WEIGHTS,
     diffusion_steps: int | None = None,
@@ -35,6 +36,7 @@ def complete(
       output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
       picture: also draw the first graph, as PNG, PDF or SVG.
       samples: graphs a scene.
+      candidates: graphs to draw for each of them; the one in the middle, under FGW, is kept.
       seed: another seed draws other samples.
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
@@ -44,6 +46,7 @@ def complete(
     from sg3d_jax.viz.figure import save_picture
 
     check_at_least("--samples", samples, 1)
+    check_at_least("--candidates", candidates, 1)
     check_at_least("--seed", seed, 0)
     check_output(output, GRAPHS)
     check_output(picture, PICTURES)
@@ -51,7 +54,7 @@ def complete(
     scenes = read_graphs(planes)  # whole: MiDi+Or counts their nodes
     check_writable(output, len(scenes) * samples, "json")
     trained = _trained(weights, diffusion_steps)
-    grown = models.complete(trained.model, trained.params, scenes, seed, samples)
+    grown = models.complete(trained.model, trained.params, scenes, seed, samples, candidates)
     extras = [
         {
             "halt_reason": completion.halt_reason,

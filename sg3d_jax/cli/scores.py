@@ -31,6 +31,7 @@ def evaluate(
     seeds: tuple[int, ...] = (0,),
     num_graphs: int | None = None,
     diffusion_steps: int | None = None,
+    candidates: int = 1,
     output: OptionalOutput = None,
     row: Path | None = None,
     sheet: Path | None = None,
@@ -46,6 +47,7 @@ def evaluate(
       seeds: of the samples; several give mean and standard deviation.
       num_graphs: only the first so many scenes of the split.
       diffusion_steps: sampling steps of the topology.
+      candidates: graphs to draw of each scene; the one in the middle of them, under FGW, is kept.
       output: also write everything as JSON, for `sg3d table`.
       row: also write the scores as a CSV file of one row.
       sheet: also draw the worst scenes of the first seed, the truth above what was made.
@@ -56,10 +58,11 @@ def evaluate(
 
     check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
     check_at_least("--seeds", min(seeds, default=-1), 0)
+    check_at_least("--candidates", candidates, 1)
     check_output(output, (".json",))
     check_output(row, (".csv",))
     check_output(sheet, PICTURES)
-    chosen = load_method(method, data, diffusion_steps)
+    chosen = load_method(method, data, diffusion_steps, candidates)
     scenes = load_split(chosen.data, split, chosen.name)[:num_graphs]
     truth = [chosen.target(scene) for scene in scenes]
     made, seconds = [], []
@@ -78,6 +81,7 @@ def evaluate(
         "graphs": len(truth),
         "seeds": list(seeds),
         "diffusion_steps": chosen.diffusion_steps,
+        "candidates": chosen.candidates,
         "seconds": seconds,  # a seed; compilation is in the first
         **provenance(),
     }

@@ -70,6 +70,44 @@ def draw_cut(
     )
 
 
+def draw_continuations(
+    graph: SceneGraph,
+    cut: Cut,
+    key: Key[Array, ""],
+    number: int,
+    layers: tuple[str, ...] = CONCEPTS,
+) -> Block:
+    """Draws several blocks that may come next after the survivors of a cut, in the order H.
+
+    What follows a state of H is a uniform draw among the nodes of the layer that are missing (and
+    of those above once it is complete). Several such draws are samples of the same conditional
+    distribution, and one encoding of the survivors serves them all.
+
+    Args:
+      graph: the complete padded graph.
+      cut: of it, in the order H.
+      key: a new key gives new blocks.
+      number: L, how many.
+      layers: the concepts in the order of insertion.
+
+    Returns:
+      Blocks as large as the cut's own, with a leading axis `L`, independent given the cut.
+    """
+    survivors = cut.survivors.nodes.mask
+    num_inserted = jnp.sum(survivors & (graph.nodes.label != PLANE), dtype=jnp.int32)
+    size, capacity = jnp.sum(cut.block.mask, dtype=jnp.int32), cut.block.mask.shape[0]
+
+    def draw(key: Key[Array, ""]) -> Block:
+        fresh = insertion_rank(graph, key, "H", layers)
+        missing = graph.nodes.mask & ~survivors
+        earlier = missing[None, :] & (fresh[None, :] < fresh[:, None])
+        place = num_inserted + jnp.sum(earlier, axis=-1, dtype=jnp.int32)
+        rank = jnp.where(missing, place, jnp.where(survivors, -1, survivors.shape[0]))
+        return _block(graph, rank, num_inserted, size, capacity)
+
+    return jax.vmap(draw)(jax.random.split(key, number))
+
+
 def one_shot_cut(graph: SceneGraph) -> Cut:
     """Cuts a complete graph down to its planes: all other nodes are one block, in their order.
 

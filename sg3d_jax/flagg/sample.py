@@ -102,12 +102,11 @@ def grow_batch(
 
 
 def growth_capacity(num_planes: int) -> Capacity:
-    """Returns the bucket in which a scene grows: room for as many new nodes as planes, and six.
+    """Returns the bucket in which a scene grows: room for 0.8 new nodes a plane, and eight.
 
-    The floors of the benchmark need 0.6 new nodes a plane, with at most 0.9 in any of them but the
-    smallest.
+    Floors of the benchmark need 0.6 new nodes a plane, cities 0.64 and at most 0.76.
     """
-    return bucket(2 * num_planes + 6)
+    return bucket(int(1.8 * num_planes) + 8)
 
 
 def num_lanes(capacity: Capacity) -> int:

@@ -15,7 +15,7 @@ from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
 from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss, make_halt
 from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss, make_insert
 from sg3d_jax.flagg.ordering import Ordering
-from sg3d_jax.flagg.removal import Cut, draw_cut
+from sg3d_jax.flagg.removal import Cut, draw_continuations, draw_cut
 from sg3d_jax.scene.concepts import CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block, append_block
@@ -28,6 +28,7 @@ class FlaggConfig:
     coins: tuple[int, ...] = (1, 4)  # block sizes
     ordering: Ordering = "H"
     layers: tuple[str, ...] = CONCEPTS  # sigma_C, the order in which concepts are inserted
+    continuations: int = 1  # blocks that may come next, trained on one encoded graph
     corruption: CorruptionConfig = CorruptionConfig()
     width: int = 32  # of Insert and Halt
     depth: int = 2  # GINE layers of Insert and Halt
@@ -39,6 +40,11 @@ class FlaggConfig:
             raise ValueError(
                 f"flagg.layers must begin with 'plane' and name each of {', '.join(CONCEPTS)} "
                 f"once, got {', '.join(self.layers)}"
+            )
+        if self.continuations < 1 or (self.continuations > 1 and self.ordering != "H"):
+            raise ValueError(
+                f"flagg.continuations is {self.continuations}, expected 1, or more in the order H: "
+                "HP leaves one node that comes next"
             )
 
 
@@ -95,9 +101,21 @@ def loss(
     Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
     """
     key_cut, key_corrupt, key_fill = jax.random.split(key, 3)
-    cut = cut_graph(model.config, key_cut, graph)
-    old = corrupt(cut.survivors, key_corrupt, model.config.corruption)
-    fill_loss, terms = model.fill.loss(params.fill, key_fill, old, cut.block)
+    config = model.config
+    cut = cut_graph(config, key_cut, graph)
+    old = corrupt(cut.survivors, key_corrupt, config.corruption)
+    if config.continuations == 1:
+        fill_loss, terms = model.fill.loss(params.fill, key_fill, old, cut.block)
+    else:
+        key_blocks, key_fill = jax.random.split(key_fill)
+        number = config.continuations
+        blocks = draw_continuations(graph, cut, key_blocks, number, config.layers)
+
+        def fill(key: Key[Array, ""], block: Block) -> Any:  # encodes the old graph once under vmap
+            return model.fill.loss(params.fill, key, old, block)
+
+        losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
+        fill_loss, terms = jax.tree.map(jnp.mean, losses)
     terms["insert"] = insert_loss(model.insert.logits(params.insert, old), cut.insert_probs)
     terms["halt"] = halt_loss(model.halt.logit(params.halt, old), cut.complete, cut.inserted)
     return fill_loss + terms["insert"] + terms["halt"], terms

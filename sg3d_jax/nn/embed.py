@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int, UInt
 
 from sg3d_jax.scene.concepts import NUM_CONCEPTS, NUM_RELATIONS
 from sg3d_jax.scene.graph import Nodes, SceneGraph
@@ -121,11 +121,30 @@ def edge_features(graph: SceneGraph) -> Float[Array, "E F"]:
     nodes, edges = graph.nodes, graph.edges
     surface = surface_of(nodes)
     geometry = relative_geometry(take(surface, graph.receivers), take(surface, graph.senders))
-    adjacency = part_of_adjacency(graph).astype(jnp.float32)
-    common = (adjacency[graph.senders] * adjacency[graph.receivers]) @ _one_hot_concept(graph)
+    common = jnp.minimum(common_neighbours(graph), 2).astype(jnp.float32)
     relation = jax.nn.one_hot(edges.relation, NUM_RELATIONS)
-    features = jnp.concatenate([relation, geometry, jnp.minimum(common, 2.0)], axis=-1)
+    features = jnp.concatenate([relation, geometry, common], axis=-1)
     return features * edges.mask[:, None]
+
+
+def common_neighbours(graph: SceneGraph) -> Int[Array, "E C"]:
+    """Returns how many part-of neighbours of each concept the two ends of every edge share.
+
+    Neighbours are bits of words: E x N / 32 words are read in place of E x N numbers.
+    """
+    neighbours = _packed(part_of_adjacency(graph))
+    members = _packed((_one_hot_concept(graph) > 0).T)
+    shared = neighbours[graph.senders] & neighbours[graph.receivers]
+    counts = [jnp.sum(jax.lax.population_count(shared & row[None]), axis=-1) for row in members]
+    return jnp.stack(counts, axis=-1).astype(jnp.int32)
+
+
+def _packed(rows: Bool[Array, "R N"]) -> UInt[Array, "R words"]:
+    """Packs truth values into words of 32 bits."""
+    rows = jnp.pad(rows, [(0, 0), (0, -rows.shape[1] % 32)])
+    bits = rows.reshape(rows.shape[0], -1, 32).astype(jnp.uint32)
+    places = jnp.arange(32, dtype=jnp.uint32)[None, None]
+    return jnp.sum(bits << places, axis=-1, dtype=jnp.uint32)
 
 
 def graph_features(graph: SceneGraph) -> Float[Array, " F"]:

@@ -25,13 +25,35 @@ from sg3d_jax.scene.concepts import NUM_CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
 
 
+class Gates(NamedTuple):
+    """H gates on each edge of the old graph, along which rows are propagated.
+
+    Few rows are scattered along the edges, at a cost of O(M E), so that growing stays linear in the
+    graph. Many rows, those of a one-shot model, are multiplied by a dense matrix: O(M N^2) with a
+    constant some twenty times smaller.
+    """
+
+    values: Array  # float[E, H], zero at padding
+    senders: Array  # int32[E]
+    receivers: Array  # int32[E]
+    dense: Array | None  # float[H, N, N], receiver x sender; None for few rows
+
+
 class Conditioning(NamedTuple):
     """The old graph as the denoisers see it; computed once a growth step."""
 
     nodes: Array  # float[N, width], zero at padding
-    propagation: Array  # float[H, N, N], gated adjacency, receiver x sender
+    gates: Gates
     surface: Surface  # of the N old nodes
     mask: Array  # bool[N]
+
+
+def propagate(gates: Gates, rows: Float[Array, "M N H"]) -> Float[Array, "M N H"]:
+    """Sends each row along the edges: at a node, the gated sum over its neighbours."""
+    if gates.dense is not None:
+        return jnp.einsum("hij,mjh->mih", gates.dense, rows)
+    sent = jnp.take(rows, gates.senders, axis=1) * gates.values[None]
+    return jnp.zeros_like(rows).at[:, gates.receivers].add(sent)
 
 
 class OldGraphEncoder(nn.Module):
@@ -40,6 +62,7 @@ class OldGraphEncoder(nn.Module):
     width: int
     layers: int
     gates: int
+    many_rows: bool = False  # of the blocks to come; see Gates
 
     @nn.compact
     def __call__(self, graph: SceneGraph) -> Conditioning:
@@ -49,13 +72,15 @@ class OldGraphEncoder(nn.Module):
         receiver = nn.Dense(self.width, use_bias=False, name="receiver")(encoding.nodes)
         pair = nn.Dense(self.width, use_bias=False, name="pair")(encoding.edges)
         pair += jnp.take(sender, graph.senders, 0) + jnp.take(receiver, graph.receivers, 0)
-        gates = nn.Dense(self.gates, name="gates")(nn.relu(pair)) * graph.edges.mask[:, None]
-        num_nodes = graph.nodes.mask.shape[0]
-        dense = jnp.zeros((num_nodes, num_nodes, self.gates))
-        dense = dense.at[graph.receivers, graph.senders].add(gates)
+        values = nn.Dense(self.gates, name="gates")(nn.relu(pair)) * graph.edges.mask[:, None]
+        dense = None
+        if self.many_rows:
+            num_nodes = graph.nodes.mask.shape[0]
+            dense = jnp.zeros((num_nodes, num_nodes, self.gates))
+            dense = jnp.moveaxis(dense.at[graph.receivers, graph.senders].add(values), -1, 0)
         return Conditioning(
             nodes=encoding.nodes,
-            propagation=jnp.moveaxis(dense, -1, 0),
+            gates=Gates(values, graph.senders, graph.receivers, dense),
             surface=surface_of(graph.nodes),
             mask=graph.nodes.mask,
         )
@@ -106,7 +131,7 @@ class RectangleLayer(nn.Module):
         projected = nn.Dense(self.gates + self.heads + self.pair_width, name="project")(normed)
         claim, logits, hidden = jnp.split(projected, [self.gates, self.gates + self.heads], axis=-1)
         claim = claim * (token_mask[:num_block, None] & token_mask[None, :])[..., None]
-        spread = jnp.einsum("hij,mjh->mih", conditioning.propagation, claim[:, num_block:])
+        spread = propagate(conditioning.gates, claim[:, num_block:])
         spread = jnp.pad(spread, ((0, 0), (num_block, 0), (0, 0)))
         rivals = jnp.sum(claim, axis=0, keepdims=True) - claim
         context = jnp.concatenate([spread, rivals], axis=-1)

@@ -32,7 +32,7 @@ from sg3d_jax.train.models import (
     target,
 )
 from sg3d_jax.train.step import TrainState, init_state, make_train_call
-from sg3d_jax.train.weights import save_weights
+from sg3d_jax.train.weights import load_weights, save_weights
 
 
 class Run(NamedTuple):
@@ -103,13 +103,37 @@ def train(config: Config, directory: str | Path) -> Path:
     checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
     try:
         kept = checkpoint.steps(checkpoints)
-        state = checkpoint.restore(checkpoints, template, kept[-1][0]) if kept else template
+        if kept:
+            state = checkpoint.restore(checkpoints, template, kept[-1][0])
+        else:
+            state = start_from_weights(config, template)
         _run(run, state, checkpoints, directory)
         best = min(checkpoint.steps(checkpoints), key=lambda step_and_fgw: step_and_fgw[1])[0]
         params = checkpoint.restore(checkpoints, template, best).average
     finally:
         checkpoint.close(checkpoints)
     return save_weights(directory / "weights.npz", config, run.statistics, params)
+
+
+def start_from_weights(config: Config, state: TrainState) -> TrainState:
+    """Returns the initial state, with the parameters of the weights that the run starts from.
+
+    Raises:
+      ValueError: they are of another method or of other sizes.
+    """
+    if config.initial is None:
+        return state
+    trained = load_weights(config.initial)
+
+    def shapes(params: Params) -> Any:
+        return jax.tree.map(lambda leaf: leaf.shape, params)
+
+    if trained.config.method != config.method or shapes(trained.params) != shapes(state.params):
+        raise ValueError(
+            f"initial: {config.initial} are weights of {trained.config.method} with other layers, "
+            f"expected those of {config.method} with the widths, layers and coins of this run"
+        )
+    return state._replace(params=trained.params, average=trained.params)
 
 
 def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, directory: Path) -> None:

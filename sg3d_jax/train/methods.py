@@ -34,9 +34,12 @@ class Method(NamedTuple):
     complete: Callable[[Sequence[SceneGraph], int], Result]  # of scenes and a seed
     target: Callable[[SceneGraph], SceneGraph] = lambda graph: graph  # what is to be completed
     diffusion_steps: int | None = None  # of the topology; None for methods without
+    candidates: int = 1  # graphs drawn for each that is kept
 
 
-def load_method(name: str, data: str | None = None, diffusion_steps: int | None = None) -> Method:
+def load_method(
+    name: str, data: str | None = None, diffusion_steps: int | None = None, candidates: int = 1
+) -> Method:
     """Returns a method, trained or fitted.
 
     Args:
@@ -45,18 +48,23 @@ def load_method(name: str, data: str | None = None, diffusion_steps: int | None 
         but npz.
       data: a data set by name or a file; None for that of the name or of the weights.
       diffusion_steps: sampling steps of the topology; None for those of the weights.
+      candidates: graphs that trained weights draw of each scene; the medoid of them is kept.
 
     Raises:
-      ValueError: there is no such method, it needs a data set, or it has no diffusion steps.
+      ValueError: there is no such method, it needs a data set, it has no diffusion steps, or it
+        draws no candidates.
     """
     suffix = Path(name).suffix.lower()
     named = parse(name)
     method, home = named or (name, None)
     data = data or home
     if method not in BASELINES and (suffix == ".npz" or suffix not in READABLE):
-        return _trained(_weights_of(*named) if named else name, data, diffusion_steps)
+        weights = _weights_of(*named) if named else name
+        return _trained(weights, data, diffusion_steps, candidates)
     if diffusion_steps is not None:
         raise ValueError(f"{name} has no diffusion steps, got {diffusion_steps}")
+    if candidates != 1:
+        raise ValueError(f"{name} has no trained weights, expected 1 candidate, got {candidates}")
     if data is None:
         raise ValueError(f"{name} is not of one data set, expected --data with one")
     source = DataConfig(name=data)
@@ -80,7 +88,7 @@ def _weights_of(method: str, data: str) -> str:
     return name
 
 
-def _trained(name: str, data: str | None, diffusion_steps: int | None) -> Method:
+def _trained(name: str, data: str | None, diffusion_steps: int | None, candidates: int) -> Method:
     """Returns completing by trained weights."""
     trained = load_weights(name)
     if diffusion_steps is not None:
@@ -90,7 +98,9 @@ def _trained(name: str, data: str | None, diffusion_steps: int | None) -> Method
         source = dataclasses.replace(source, name=data, num_graphs=None)
 
     def complete(scenes: Sequence[SceneGraph], seed: int) -> Result:
-        completed = models.complete(trained.model, trained.params, scenes, seed)
+        completed = models.complete(
+            trained.model, trained.params, scenes, seed, candidates=candidates
+        )
         made = [one for one, *_ in completed]
         return Result([one.graph for one in made], models.share_halted(made))
 
@@ -101,6 +111,7 @@ def _trained(name: str, data: str | None, diffusion_steps: int | None) -> Method
         complete=complete,
         target=lambda graph: models.target(trained.model, graph),
         diffusion_steps=models.sampling_steps(config.model),
+        candidates=candidates,
     )
 
 

@@ -28,6 +28,7 @@ from sg3d_jax.flagg import sample, step
 from sg3d_jax.flagg.removal import check_one_shot, one_shot_cut
 from sg3d_jax.flagg.sample import Completion
 from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg
+from sg3d_jax.metrics.medoid import medoids
 from sg3d_jax.scene.concepts import CITY, FLOOR
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train.statistics import statistics_of
@@ -199,7 +200,12 @@ def loss(
 
 
 def complete(
-    model: Model, params: Params, scenes: Sequence[SceneGraph], seed: int = 0, samples: int = 1
+    model: Model,
+    params: Params,
+    scenes: Sequence[SceneGraph],
+    seed: int = 0,
+    samples: int = 1,
+    candidates: int = 1,
 ) -> list[list[Completion]]:
     """Completes scene graphs from the planes of host graphs, in compiled batches.
 
@@ -210,11 +216,19 @@ def complete(
         nodes that they have above the planes.
       seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
       samples: graphs a scene.
+      candidates: graphs that are drawn for each of them; their medoid under FGW is kept.
 
     Returns:
       For every scene, in order, its samples.
     """
-    return _KIND_OF[type(model)].complete(model, params, scenes, seed, samples)
+    drawn = _KIND_OF[type(model)].complete(model, params, scenes, seed, samples * candidates)
+    if candidates == 1:
+        return drawn
+    starts = range(0, samples * candidates, candidates)
+    groups = [of_scene[start : start + candidates] for of_scene in drawn for start in starts]
+    chosen = medoids([[one.graph for one in group] for group in groups])
+    kept = iter([group[index] for group, index in zip(groups, chosen, strict=True)])
+    return [[next(kept) for _ in starts] for _ in drawn]
 
 
 def target(model: Model, graph: SceneGraph) -> SceneGraph:

@@ -48,6 +48,12 @@ def init_state(config: Config, model: Model, graph: SceneGraph) -> TrainState:
     return TrainState(params, params, optimiser, jnp.zeros((), jnp.int32))
 
 
+def batch_of(config: Config, graphs: SceneGraph) -> int:
+    """Returns how many graphs of a stack are trained on in a step: fewer of large ones."""
+    num_slots = graphs.nodes.mask.shape[-1]
+    return max(1, min(config.batch, config.batch_nodes // num_slots))
+
+
 def make_train_call(config: Config, model: Model) -> TrainCall:
     """Builds the compiled function that runs `steps_per_call` training steps on one bucket.
 
@@ -64,14 +70,14 @@ def make_train_call(config: Config, model: Model) -> TrainCall:
         def one(key: Key[Array, ""], graph: SceneGraph) -> tuple[Float[Array, ""], Metrics]:
             return models.loss(model, params, key, graph)
 
-        keys = jax.random.split(key, config.batch)
+        keys = jax.random.split(key, graphs.n_node.shape[0])
         losses, terms = jax.vmap(one)(keys, graphs)
         return jnp.mean(losses), jax.tree.map(jnp.mean, terms)
 
     def train_step(state: TrainState, key: Key[Array, ""], graphs: SceneGraph) -> Any:
         key_index, key_loss = jax.random.split(jax.random.fold_in(key, state.step))
         num_graphs = graphs.n_node.shape[0]
-        indices = jax.random.randint(key_index, (config.batch,), 0, num_graphs)
+        indices = jax.random.randint(key_index, (batch_of(config, graphs),), 0, num_graphs)
         batch = jax.tree.map(lambda leaf: leaf[indices], graphs)
         value_and_grad = jax.value_and_grad(batch_loss, has_aux=True)
         (loss, terms), gradient = value_and_grad(state.params, key_loss, batch)

@@ -10,6 +10,7 @@ from sg3d_jax.nn.embed import Surface
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
 from sg3d_jax.scene.concepts import FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
 from sg3d_jax.scene.padding import Block
+from tests.two_rooms import NO_GATES
 
 NUM_BLOCK, NUM_OLD = 4, 6
 SCHEDULE = cosine(5)
@@ -39,7 +40,7 @@ def say(label, edge):
 
 def old_graph(num_real):
     surface = Surface(jnp.zeros((NUM_OLD, 3)), jnp.zeros((NUM_OLD, 3)), jnp.zeros(NUM_OLD))
-    return Conditioning(jnp.zeros(0), jnp.zeros(0), surface, jnp.arange(NUM_OLD) < num_real)
+    return Conditioning(jnp.zeros(0), NO_GATES, surface, jnp.arange(NUM_OLD) < num_real)
 
 
 def make_block(num_new, num_old, seed=0):

@@ -9,6 +9,7 @@ from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.nn.embed import Surface
 from sg3d_jax.nn.graph_transformer import Conditioning, DistanceNetwork
 from sg3d_jax.scene.padding import Block
+from tests.two_rooms import NO_GATES
 
 NUM_BLOCK, NUM_OLD, MEAN, STD = 3, 5, 1.5, 0.4
 SCHEDULE = cosine(4)
@@ -55,7 +56,7 @@ def scene():
     edges[0, NUM_BLOCK + 2] = edges[1, NUM_BLOCK] = edges[1, NUM_BLOCK + 3] = True
     block = Block(jnp.zeros(NUM_BLOCK, int), *map(jnp.asarray, (position[:3], edges, mask)))
     surface = Surface(jnp.asarray(old), jnp.zeros((NUM_OLD, 3)), jnp.zeros(NUM_OLD))
-    return Conditioning(jnp.zeros(0), jnp.zeros(0), surface, jnp.arange(NUM_OLD) < 4), block
+    return Conditioning(jnp.zeros(0), NO_GATES, surface, jnp.arange(NUM_OLD) < 4), block
 
 
 @jax.jit

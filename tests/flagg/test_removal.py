@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from sg3d_jax.flagg.blocks import fewest_coins
-from sg3d_jax.flagg.removal import check_one_shot, draw_cut, one_shot_capacity, one_shot_cut
+from sg3d_jax.flagg.removal import (
+    check_one_shot,
+    draw_continuations,
+    draw_cut,
+    one_shot_capacity,
+    one_shot_cut,
+)
 from sg3d_jax.scene.concepts import PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.padding import part_of_adjacency
@@ -27,6 +33,11 @@ def cuts():
 def each(cuts):
     for index in range(len(cuts.complete)):
         yield jax.tree.map(lambda leaf, i=index: leaf[i], cuts)
+
+
+def each_block(blocks):
+    for index in range(len(blocks.mask)):
+        yield jax.tree.map(lambda leaf, i=index: np.asarray(leaf)[i], blocks)
 
 
 def find(position):
@@ -133,6 +144,54 @@ def test_a_graph_of_planes_only__is_complete_and_has_no_block():
     assert not cut.has_block.any()
     assert not cut.inserted.any()
     assert not cut.insert_probs.any()
+
+
+def test_continuations__are_drawn_as_the_blocks_of_cuts_with_the_same_survivors():
+    """One node at a time: each missing node of the next layer is as likely as another."""
+    graph = on_device(SCENE)
+
+    @jax.jit
+    def draw(key):
+        key_cut, key_blocks = jax.random.split(key)
+        cut = draw_cut(graph, key_cut, (1,))
+        return cut, draw_continuations(graph, cut, key_blocks, 64)
+
+    seen = set()
+    for seed in range(20):
+        cut, blocks = jax.tree.map(np.asarray, draw(jax.random.key(seed)))
+        old = cut.survivors.nodes.mask
+        missing = [slot for slot in range(len(SCENE.nodes.label)) if not old[slot]]
+        assert (blocks.mask == cut.has_block).all()
+        if not missing:
+            continue
+        label = SCENE.nodes.label[missing].min()
+        nexts = [slot for slot in missing if SCENE.nodes.label[slot] == label]
+        slots = np.array([find(position[0]) for position in blocks.position])
+        assert set(slots) == set(nexts)
+        np.testing.assert_allclose(np.bincount(slots)[nexts] / 64, 1 / len(nexts), atol=0.25)
+        np.testing.assert_array_equal(blocks.label[:, 0], SCENE.nodes.label[slots])
+        np.testing.assert_array_equal(blocks.edges[:, 0, 1:], TRUTH[slots] & old)
+        assert not blocks.edges[:, 0, 0].any()
+        seen.add((label, len(nexts)))
+    assert {count for _, count in seen} >= {1, 2}
+
+
+def test_continuations__are_blocks_as_large_as_that_of_the_cut():
+    graph = on_device(SCENE)
+    draw = jax.jit(
+        lambda key: (
+            cut := draw_cut(graph, key, COINS),
+            draw_continuations(graph, cut, jax.random.fold_in(key, 1), 3),
+        )
+    )
+    for seed in range(6):
+        cut, blocks = draw(jax.random.key(seed))
+        np.testing.assert_array_equal(blocks.mask, np.broadcast_to(cut.block.mask, (3, 2)))
+        inner = blocks.edges[:, :, :2]
+        np.testing.assert_array_equal(inner, np.swapaxes(inner, 1, 2))
+        for block in each_block(blocks):
+            slots = [find(position) for position in block.position[block.mask]]
+            assert len(set(slots)) == len(slots)
 
 
 def test_one_shot__leaves_the_planes_and_takes_all_else_as_one_block():

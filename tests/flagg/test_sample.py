@@ -162,7 +162,7 @@ def test_scenes_of_one_bucket__are_compiled_once():
 
 
 @pytest.mark.parametrize("num_planes", [2, 40, 200])
-def test_capacity__has_room_for_as_many_new_nodes_as_planes(num_planes):
+def test_capacity__has_room_for_eight_new_nodes_and_four_for_every_five_planes(num_planes):
     capacity = growth_capacity(num_planes)
-    assert capacity.nodes >= 2 * num_planes
+    assert capacity.nodes >= 1.8 * num_planes + 7
     assert capacity.edges >= 20 * num_planes

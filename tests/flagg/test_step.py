@@ -84,6 +84,41 @@ def test_loss__has_a_finite_gradient_that_reaches_every_module(simple):
         assert any(np.any(leaf) for leaf in jax.tree.leaves(module))
 
 
+def telling_fill() -> Fill:
+    """A Fill whose loss is the label of its block, and which counts what it encodes."""
+
+    def loss(params, key, graph, block):
+        encoded = jnp.sum(graph.nodes.position) * params
+        label = block.label[0].astype(jnp.float32)
+        return label + 0 * encoded, {"label": label, "noise": jax.random.uniform(key)}
+
+    return Fill(lambda key, graph, block: jnp.float32(1), loss, lambda *_: None)
+
+
+def test_loss__is_a_mean_over_what_may_come_next():
+    """Walls come first and rooms after them; a wall and two rooms cannot share a state."""
+    config = step.FlaggConfig(coins=(1,), width=4, depth=1, corruption=QUIET, continuations=16)
+    model = step.make_flagg(config, telling_fill())
+    graph = on_device(SCENE)
+    params = step.init(model, jax.random.key(0), graph)
+
+    @jax.jit
+    def both(key, again):
+        cut = step.cut_graph(config, jax.random.split(again, 3)[0], graph)
+        return step.loss(model, params, key, graph)[1], cut
+
+    for seed in range(8):
+        terms, cut = both(jax.random.key(seed), jax.random.key(seed))
+        np.testing.assert_allclose(terms["label"], cut.block.label[0])
+        assert 0.2 < terms["noise"] < 0.8  # of sixteen keys
+
+
+@pytest.mark.parametrize(("continuations", "ordering"), [(0, "H"), (2, "HP")])
+def test_continuations__are_refused_where_there_are_none(continuations, ordering):
+    with pytest.raises(ValueError, match=f"flagg.continuations is {continuations}, expected 1"):
+        step.FlaggConfig(continuations=continuations, ordering=ordering)
+
+
 def test_growing__with_an_untrained_model_leaves_the_planes_bit_for_bit():
     sizes = {"encoder_width": 8, "gates": 2, "node_width": 8, "pair_width": 8, "distance_width": 8}
     layers = {"encoder_layers": 1, "layers": 1, "heads": 2, "distance_layers": 1}

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from sg3d_jax.nn import embed
 from sg3d_jax.scene.concepts import NUM_CONCEPTS, PART_OF
+from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.padding import Capacity
 from tests.two_rooms import moved, on_device, two_rooms, with_garbage
 
 SCENE = two_rooms()
@@ -149,3 +151,21 @@ def test_sinusoids__have_frequencies_from_one_to_a_thousandth(time):
     frequency = [1000 ** (-place / 8) for place in range(8)]
     expected = [f(time * rate) for f, rate in itertools.product((np.sin, np.cos), frequency)]
     np.testing.assert_allclose(embed.sinusoids(jnp.float32(time)), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("num_nodes", [31, 32, 33, 70])  # about the size of a word
+def test_common_neighbours__are_those_of_a_loop_over_pairs(num_nodes):
+    rng = np.random.default_rng(num_nodes)
+    label = rng.integers(0, NUM_CONCEPTS, num_nodes)
+    pairs = rng.integers(0, num_nodes, (4 * num_nodes, 2))
+    pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]]), axis=0)
+    nothing = np.zeros((num_nodes, 3))
+    graph = make_graph(label, nothing, nothing, np.zeros(num_nodes), pairs)
+    neighbours = part_of_neighbours(graph)
+    padded = on_device(graph, Capacity(num_nodes + 3, len(graph.senders) + 5))
+    found = np.asarray(jax.jit(embed.common_neighbours)(padded))[: len(graph.senders)]
+    for edge, (one, other) in enumerate(zip(graph.senders, graph.receivers, strict=True)):
+        shared = sorted(neighbours[one] & neighbours[other])
+        expected = np.bincount(label[shared], minlength=NUM_CONCEPTS)
+        np.testing.assert_array_equal(found[edge], expected)
+    assert found.sum() > num_nodes

@@ -11,14 +11,17 @@ from sg3d_jax.nn.embed import surface_of
 from sg3d_jax.nn.graph_transformer import (
     Conditioning,
     DistanceNetwork,
+    Gates,
     OldGraphEncoder,
     RectangleTransformer,
     block_symmetric,
     linked_centre,
+    propagate,
 )
 from sg3d_jax.scene.concepts import FLOOR, ROOM, WALL
 from tests.two_rooms import (
     CAPACITY,
+    NO_GATES,
     TWICE,
     moved,
     on_device,
@@ -182,7 +185,7 @@ def test_gradient__is_finite_where_everything_is_padding(params):
 
 def test_linked_centre__is_the_mean_of_the_linked_or_of_all_old_nodes():
     nodes = with_garbage(on_device(SCENE), 5).nodes
-    conditioning = Conditioning(jnp.zeros(0), jnp.zeros(0), surface_of(nodes), nodes.mask)
+    conditioning = Conditioning(jnp.zeros(0), NO_GATES, surface_of(nodes), nodes.mask)
     linked = np.zeros((3, CAPACITY.nodes), np.float32)
     linked[0, [1, 4]] = 1
     linked[1, [2, 15]] = 1  # 15 is padding
@@ -198,3 +201,31 @@ def test_block_symmetric__averages_pairs_inside_the_block_only():
     found = np.asarray(block_symmetric(pairs))
     np.testing.assert_allclose(found[0, 2], (pairs[0, 2] + pairs[2, 0]) / 2)
     np.testing.assert_array_equal(found[:, 3:], pairs[:, 3:])
+
+
+def test_rows__travel_along_the_gated_edges_alike_by_scatter_and_by_product():
+    """A loop over the edges of a multigraph says what both should give."""
+    rng = np.random.default_rng(0)
+    num_edges, num_gates = 40, 3
+    senders, receivers = rng.integers(0, NUM_OLD, (2, num_edges))
+    values = rng.normal(size=(num_edges, num_gates)).astype(np.float32)
+    rows = rng.normal(size=(2, NUM_OLD, num_gates)).astype(np.float32)
+    expected, dense = np.zeros_like(rows), np.zeros((num_gates, NUM_OLD, NUM_OLD), np.float32)
+    for sender, receiver, value in zip(senders, receivers, values, strict=True):
+        expected[:, receiver] += value * rows[:, sender]
+        dense[:, receiver, sender] += value
+    for matrix in (None, jnp.asarray(dense)):
+        gates = Gates(*map(jnp.asarray, (values, senders, receivers)), matrix)
+        np.testing.assert_allclose(propagate(gates, jnp.asarray(rows)), expected, atol=1e-5)
+
+
+def test_the_encoder__has_the_same_gates_for_few_rows_and_for_many():
+    graph = on_device(SCENE)
+    params = random_params(ENCODER.init, graph)
+    few, many = (
+        jax.jit(OldGraphEncoder(8, 1, 3, many_rows=many_rows).apply)(params, graph).gates
+        for many_rows in (False, True)
+    )
+    assert few.dense is None
+    rows = jax.random.normal(jax.random.key(0), (2, CAPACITY.nodes, 3))
+    np.testing.assert_allclose(propagate(few, rows), propagate(many, rows), atol=1e-5)

@@ -11,11 +11,11 @@ import pytest
 from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.train import checkpoint, loop
 from sg3d_jax.train.config import to_json
-from sg3d_jax.train.loop import bucket_of_call, prepare, train, validate
+from sg3d_jax.train.loop import bucket_of_call, prepare, start_from_weights, train, validate
 from sg3d_jax.train.models import complete
 from sg3d_jax.train.step import init_state
 from sg3d_jax.train.weights import load_weights
-from tests.tiny_run import read_config
+from tests.tiny_run import read_config, untrained_weights
 
 
 def arrays(path):
@@ -246,3 +246,22 @@ def test_initial_parameters_follow_from_the_seed(trained):
     )
     npt.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
+
+
+def test_a_run_starts_from_weights_with_a_fresh_optimiser(programs):
+    weights = str(programs.directory / "weights.npz")
+    config = dataclasses.replace(programs.run.config, initial=weights)
+    state = start_from_weights(config, programs.initial)
+    for params in (state.params, state.average):
+        jax.tree.map(npt.assert_array_equal, params, load_weights(weights).params)
+    assert state.optimiser is programs.initial.optimiser
+    assert state.step == 0
+    assert start_from_weights(programs.run.config, programs.initial) is programs.initial
+
+
+@pytest.mark.parametrize("other", ["midi", "fd4-s-f"])
+def test_weights_of_another_method_or_of_other_sizes_are_no_start(other, programs, tmp_path):
+    name = str(untrained_weights(tmp_path, other)) if other == "midi" else other
+    config = dataclasses.replace(programs.run.config, initial=name)
+    with pytest.raises(ValueError, match=rf"initial: {name} are weights of .* with other layers"):
+        start_from_weights(config, programs.initial)

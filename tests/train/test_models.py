@@ -75,6 +75,25 @@ def test_the_share_of_halted_graphs_is_of_growing_methods():
     assert models.share_halted([Completion(graph, "ONE_SHOT", 1)]) is None
 
 
+def test_of_several_candidates_the_medoid_is_kept(monkeypatch):
+    graphs = small_floors()
+    drawn = [[Completion(graphs[i], "HALTED", i) for i in range(6)] for _ in range(2)]
+    asked = []
+
+    def complete(model, params, scenes, seed, samples):
+        asked.append(samples)
+        return drawn
+
+    model = untrained_model("fd4")
+    kind = GROWING._replace(complete=complete)
+    monkeypatch.setattr(models, "_KIND_OF", {type(model): kind})
+    monkeypatch.setattr(models, "medoids", lambda groups: [len(group) - 1 for group in groups])
+    kept = models.complete(model, None, graphs[:2], samples=2, candidates=3)
+    assert [[one.steps for one in samples] for samples in kept] == [[2, 5], [2, 5]]
+    assert models.complete(model, None, graphs[:2], samples=6) is drawn
+    assert asked == [6, 6]
+
+
 @pytest.mark.parametrize("method", DIFFUSING)
 def test_diffusion_steps_are_changed_by_one_function(method):
     config = MODELS[method]

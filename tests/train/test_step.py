@@ -56,6 +56,12 @@ def run(call, graphs, num_calls):
     return states, metrics
 
 
+@pytest.mark.parametrize(("batch_nodes", "batch"), [(8192, 3), (72, 3), (71, 2), (48, 2), (5, 1)])
+def test_batches_of_large_graphs_are_smaller(graphs, batch_nodes, batch):
+    config = dataclasses.replace(CONFIG, batch_nodes=batch_nodes)
+    assert step.batch_of(config, graphs) == batch
+
+
 def test_there_is_one_trace_a_bucket(graphs):
     call, other = one_call(2), stack(small_floors(), Capacity(32, 64))
     for bucket, traces in ((graphs, 1), (graphs, 1), (other, 2), (graphs, 2), (other, 2)):

@@ -1,0 +1,20 @@
+"""FD4 on S-C: cities of two buildings, from the weights of single floors."""
+
+from sg3d_jax.fill.fd4 import FD4Config
+from sg3d_jax.flagg.step import FlaggConfig
+from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
+
+CONFIG = Config(
+    data=DataConfig(name="s-c"),
+    flagg=FlaggConfig(coins=(1,), continuations=8),
+    model=FD4Config(noise_levels=1, topology_steps=16),
+    optimiser=OptimiserConfig(warmup_steps=200),
+    initial="fd4-s-f",
+    steps=9_000,
+    batch=8,
+    batch_nodes=2048,
+    steps_per_call=10,
+    capacities=(64, 96, 128, 160, 192, 256),
+    validate_every=3_000,
+    validation_graphs=48,
+)
