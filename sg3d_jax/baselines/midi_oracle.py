@@ -89,7 +89,7 @@ def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOr
       statistics: marginals and spread of positions, counted on one-shot cuts.
     """
     sizes = config.encoder_width, config.encoder_layers, config.gates
-    encoder = OldGraphEncoder(*sizes, many_rows=True)
+    encoder = OldGraphEncoder(*sizes, kin=config.kin, many_rows=True)
     network, schedules = midi.make_network(config), midi.make_schedules(config)
 
     def frame_of(planes: SceneGraph) -> Frame:

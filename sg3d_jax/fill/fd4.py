@@ -19,6 +19,7 @@ from sg3d_jax.nn.graph_transformer import (
     OldGraphEncoder,
     RectangleTransformer,
 )
+from sg3d_jax.scene.concepts import BUILDING
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block
 
@@ -30,6 +31,7 @@ class FD4Config:
     encoder_width: int = 64
     encoder_layers: int = 3
     gates: int = 16  # channels in which rows are propagated along the old graph
+    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
     node_width: int = 64
     pair_width: int = 48
     layers: int = 4
@@ -49,7 +51,8 @@ def make_fd4(config: FD4Config, statistics: Statistics) -> Fill:
       config: sizes and steps.
       statistics: marginals and distance scale of the training set.
     """
-    encoder = OldGraphEncoder(config.encoder_width, config.encoder_layers, config.gates)
+    sizes = config.encoder_width, config.encoder_layers, config.gates
+    encoder = OldGraphEncoder(*sizes, kin=config.kin)
     topology = RectangleTransformer(
         config.node_width, config.pair_width, config.layers, config.heads, config.gates
     )
@@ -114,7 +117,9 @@ def make_fd4(config: FD4Config, statistics: Statistics) -> Fill:
             config.distance_steps,
             statistics,
         )
-        position = recover_positions(metres, edges, conditioning.surface, conditioning.mask)
+        position = recover_positions(
+            metres, edges, conditioning.surface, conditioning.mask, drawn.label >= BUILDING
+        )
         label = jnp.where(block_mask, drawn.label, 0)
         return Block(label, jnp.where(block_mask[:, None], position, 0.0), edges, block_mask)
 

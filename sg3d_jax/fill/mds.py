@@ -4,7 +4,9 @@ Source: paper, Eq. for R_t* in Sec. "Adapting D4".
 Differs: Levenberg-Marquardt from the mean of the neighbours, where the authors' D4 snapshot runs
 500 steps of Adam from random starts. The plane centroids of a floor lie at one height and a wall
 has two planes, so where distances are too long the minimum leaves their plane or line in an
-arbitrary direction; from our start the steps stay in it.
+arbitrary direction; from our start the steps stay in it. Buildings and cities have few neighbours,
+all below them: distances leave mirror images or a circle, and from a start above the neighbours the
+uppermost place is found.
 """
 
 from typing import NamedTuple
@@ -44,6 +46,7 @@ def recover_positions(
     edges: Bool[Array, "M tokens"],
     old: Surface,
     old_mask: Bool[Array, " N"],
+    above: Bool[Array, " M"],
 ) -> Float[Array, "M 3"]:
     """Returns the centroids of a block that fit the distances on its edges.
 
@@ -52,20 +55,24 @@ def recover_positions(
       edges: symmetric inside the block; False at padding.
       old: the N old nodes.
       old_mask: real old nodes.
+      above: new nodes that stand above their neighbours: buildings and cities.
 
     Returns:
       float[M, 3], metres. A node without edges stands at the mean of the old graph; one with a
-      single neighbour stands at its distance in front of it.
+      single neighbour stands at its distance above it or in front of it.
     """
-    position = _fit(_start(distance, edges, old, old_mask), distance, edges, old.position)
     num_block = edges.shape[0]
+    mean_distance = jnp.sum(distance * edges, axis=1) / jnp.maximum(jnp.sum(edges, axis=1), 1)
+    lift = (above * mean_distance)[:, None] * jnp.asarray([[0.0, 0.0, 1.0]])
+    start = _start(distance, edges, old, old_mask, above) + lift
+    position = _fit(start, distance, edges, old.position)
     if num_block == 1:
         return position
     # What hangs on new nodes alone, such as their floor, starts again from where those stand now.
     inside = edges[:, :num_block]
     mean = inside @ position / jnp.maximum(jnp.sum(inside, axis=1), 1)[:, None]
     hanging = (jnp.sum(inside, axis=1) > 1) & ~jnp.any(edges[:, num_block:], axis=1)
-    return _fit(jnp.where(hanging[:, None], mean, position), distance, edges, old.position)
+    return _fit(jnp.where(hanging[:, None], mean + lift, position), distance, edges, old.position)
 
 
 def _fit(
@@ -122,8 +129,12 @@ def _start(
     edges: Bool[Array, "M tokens"],
     old: Surface,
     old_mask: Bool[Array, " N"],
+    above: Bool[Array, " M"],
 ) -> Float[Array, "M 3"]:
-    """Places every new node at the mean of its neighbours, those with old neighbours first."""
+    """Places every new node at the mean of its neighbours, those with old neighbours first.
+
+    One with a single neighbour is moved in front of it, unless it stands above.
+    """
     num_block = edges.shape[0]
     total = jnp.maximum(jnp.sum(old_mask), 1)
     everyone = jnp.sum(old.position * old_mask[:, None], axis=0) / total
@@ -136,7 +147,7 @@ def _start(
         fresh = (count > 0) & ~placed[:num_block]
         position = jnp.where(fresh[:, None], mean, position)
         placed = placed.at[:num_block].set(placed[:num_block] | fresh)
-    alone = jnp.sum(edges, axis=1) == 1
+    alone = (jnp.sum(edges, axis=1) == 1) & ~above
     tokens = jnp.concatenate([position, old.position])
     normal = jnp.concatenate([jnp.zeros_like(position), old.normal])
     step = _in_front(distance, edges, tokens, normal, everyone)

@@ -32,6 +32,7 @@ class MiDiConfig:
     encoder_width: int = 64
     encoder_layers: int = 3
     gates: int = 16  # channels in which rows are propagated along the old graph
+    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
     node_width: int = 64
     pair_width: int = 48
     layers: int = 4
@@ -239,7 +240,8 @@ def make_midi(config: MiDiConfig, statistics: Statistics) -> Fill:
       config: sizes and steps.
       statistics: marginals and spread of positions of the training set.
     """
-    encoder = OldGraphEncoder(config.encoder_width, config.encoder_layers, config.gates)
+    sizes = config.encoder_width, config.encoder_layers, config.gates
+    encoder = OldGraphEncoder(*sizes, kin=config.kin)
     network, schedules = make_network(config), make_schedules(config)
 
     def frame_of(graph: SceneGraph) -> Frame:

@@ -23,6 +23,7 @@ from sg3d_jax.nn.embed import Surface, relative_to_points, sinusoids, surface_of
 from sg3d_jax.nn.gine import GINE
 from sg3d_jax.scene.concepts import NUM_CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.proximity import connect_kin
 
 
 class Gates(NamedTuple):
@@ -62,11 +63,14 @@ class OldGraphEncoder(nn.Module):
     width: int
     layers: int
     gates: int
+    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
     many_rows: bool = False  # of the blocks to come; see Gates
 
     @nn.compact
     def __call__(self, graph: SceneGraph) -> Conditioning:
         """Encodes one padded graph."""
+        if self.kin:
+            graph = connect_kin(graph, self.kin)
         encoding = GINE(self.width, self.layers, name="gine")(graph)
         sender = nn.Dense(self.width, name="sender")(encoding.nodes)
         receiver = nn.Dense(self.width, use_bias=False, name="receiver")(encoding.nodes)

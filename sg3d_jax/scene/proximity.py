@@ -1,4 +1,4 @@
-"""The proximity graph of the observed planes: the input of every model.
+"""The proximity graph of the observed planes, the input of every model; and that of their kin.
 
 Source: paper, Eq. for E_P in Sec. "Initializing the plane graph"; k = 10 and the union of both
 directions as in the authors' data (they query k + 1 neighbours of a KD-tree and drop the plane
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sg3d_jax.scene.concepts import PART_OF, PLANE, PROXIMITY
+from sg3d_jax.scene.concepts import PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import Edges, SceneGraph
 
 NEIGHBOURS = 10
@@ -72,4 +72,45 @@ def connect_planes(graph: SceneGraph, k: int = NEIGHBOURS) -> SceneGraph:
         senders=pick(senders, graph.senders),
         receivers=pick(receivers, graph.receivers),
         n_edge=jnp.stack([count, capacity - count]),
+    )
+
+
+def connect_kin(graph: SceneGraph, k: int) -> SceneGraph:
+    """Appends edges to rooms, floors and buildings from the nearest nodes of their own concept.
+
+    What the next layer groups then hears of each other directly, and not by way of a dozen planes
+    and walls: whether two rooms lie on one floor is a question to these two.
+
+    Args:
+      graph: padded, `N` nodes and `E` edges of capacity.
+      k: nearest nodes of its concept that each node hears of.
+
+    Returns:
+      The graph with `(N // 3) k` more edge slots, whose directed proximity edges end at the first
+      `N // 3` nodes above the walls; no scene of the benchmark that fills its bucket has more.
+      Real edges are no longer in the first slots.
+    """
+    nodes = graph.nodes
+    num_kin = nodes.mask.shape[0] // 3
+    high = nodes.mask & (nodes.label >= ROOM)
+    (slot,) = jnp.nonzero(high, size=num_kin, fill_value=0)
+    real = jnp.arange(num_kin) < jnp.sum(high)
+    label, position = nodes.label[slot], nodes.position[slot]
+    squared = jnp.sum((position[:, None] - position[None, :]) ** 2, axis=-1)
+    pairs = real[:, None] & real[None, :] & (label[:, None] == label[None, :])
+    pairs &= ~jnp.eye(num_kin, dtype=bool)
+    nearness, nearest = jax.lax.top_k(jnp.where(pairs, -squared, -jnp.inf), min(k, num_kin))
+    mask = jnp.isfinite(nearness).ravel()
+    receivers = jnp.where(mask, jnp.repeat(slot, nearest.shape[1]), 0).astype(jnp.int32)
+    senders = jnp.where(mask, slot[nearest].ravel(), 0).astype(jnp.int32)
+    relation = jnp.full_like(senders, PROXIMITY)
+    count, unused = jnp.sum(mask, dtype=jnp.int32), jnp.sum(~mask, dtype=jnp.int32)
+    return graph._replace(
+        edges=Edges(
+            jnp.concatenate([graph.edges.relation, relation]),
+            jnp.concatenate([graph.edges.mask, mask]),
+        ),
+        senders=jnp.concatenate([graph.senders, senders]),
+        receivers=jnp.concatenate([graph.receivers, receivers]),
+        n_edge=graph.n_edge + jnp.stack([count, unused]),
     )

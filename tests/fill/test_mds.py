@@ -25,11 +25,12 @@ class Problem(NamedTuple):
     edges: np.ndarray
     position: np.ndarray
     normal: np.ndarray
+    above: np.ndarray = np.zeros(NUM_BLOCK, bool)
 
     def solve(self) -> np.ndarray:
         old = Surface(*map(jnp.asarray, (self.position, self.normal, np.zeros(NUM_OLD, "f"))))
         inputs = jnp.asarray(self.distance), jnp.asarray(self.edges), old, jnp.asarray(REAL)
-        return np.asarray(recover(*inputs))
+        return np.asarray(recover(*inputs, jnp.asarray(self.above)))
 
 
 def problem(links, truth, position, normal=None, stretch=1.0) -> Problem:
@@ -88,6 +89,25 @@ def test_a_wall__stands_between_its_two_planes(first, direction, thickness):
     truth = [first + across / 2]
     instance = problem(old_links(0, [0, 1]), truth, planes)
     np.testing.assert_allclose(instance.solve()[:1], truth, atol=5e-3)
+
+
+@pytest.mark.parametrize("floors", [[(1, 2, 0)], [(1, 2, 0), (1, 2, 3)], [(9, 4, 1), (-3, 1, 2)]])
+@pytest.mark.parametrize("stretch", [0.99, 1.0, 1.01])
+def test_what_stands_above__is_found_above(floors, stretch):
+    """A building over one floor, over two on top of each other, a city over two buildings."""
+    position = np.array(floors, np.float32)
+    truth = [*position[:, :2].mean(axis=0), position[:, 2].max() + 4]
+    instance = problem(old_links(0, range(len(floors))), [truth], position, stretch=stretch)
+    instance = instance._replace(above=np.arange(NUM_BLOCK) == 0)
+    np.testing.assert_allclose(instance.solve()[0], truth, atol=0.4 if stretch != 1 else 0.01)
+
+
+def test_what_stands_above__may_hang_on_new_nodes():
+    truth = np.array([[0.5, 0.2, 0], [-0.8, 0.1, 0], [-0.15, 0.15, 4]], np.float32)
+    links = [(2, 0), (2, 1), *old_links(0, range(4)), *old_links(1, range(4))]
+    instance = problem(links, truth, walls_of_room())
+    instance = instance._replace(above=np.arange(NUM_BLOCK) == 2)
+    np.testing.assert_allclose(instance.solve()[:3], truth, atol=0.05)
 
 
 @pytest.mark.parametrize("stretch", [0.7, 1.3])
@@ -211,7 +231,8 @@ def test_gradient__is_finite_also_at_coincident_points_and_without_edges():
     def total(distance, position):
         old = Surface(position, jnp.zeros((NUM_OLD, 3)), jnp.zeros(NUM_OLD))
         edges, mask = jnp.asarray(instance.edges), jnp.asarray(REAL)
-        return jnp.sum(mds.recover_positions(distance, edges, old, mask) ** 2)
+        above = jnp.zeros(NUM_BLOCK, bool)
+        return jnp.sum(mds.recover_positions(distance, edges, old, mask, above) ** 2)
 
     gradients = jax.jit(jax.grad(total, argnums=(0, 1)))(
         jnp.asarray(instance.distance), jnp.asarray(instance.position)
