@@ -7,14 +7,14 @@ from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
 CONFIG = Config(
     data=DataConfig(name="s-c"),
     flagg=FlaggConfig(coins=(1,), continuations=8),
-    model=MiDiConfig(noise_levels=1, sampling_steps=32),
+    model=MiDiConfig(kin=8, noise_levels=1, sampling_steps=32),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="midi-s-f",
-    steps=6_000,
+    steps=5_000,
     batch=8,
     batch_nodes=2048,
     steps_per_call=10,
     capacities=(96, 128, 192, 256),
-    validate_every=3_000,
-    validation_graphs=40,
+    validate_every=2_500,
+    validation_graphs=24,
 )

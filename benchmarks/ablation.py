@@ -1,0 +1,95 @@
+"""What each choice is worth on cities: short trainings that differ in one thing.
+
+    python benchmarks/ablation.py [VARIANT ...]
+
+Every variant is trained on the cities of S-C that have at most 128 nodes, for the same number of
+steps from the weights of single floors, and grows validation scenes. Rows are added to
+benchmarks/results/ablation.json, so variants can be run one at a time. These trainings are a tenth
+of those of the shipped weights: what is compared is how fast they get there.
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from sg3d_jax.data import registry, schema
+from sg3d_jax.flagg.corrupt import CorruptionConfig
+from sg3d_jax.train.config import Config, DataConfig
+from sg3d_jax.train.loop import train
+from sg3d_jax.train.presets import find_config
+
+RESULT: Final = Path(__file__).parent / "results" / "ablation.json"
+MAX_NODES: Final = 128
+STEPS: Final = 800
+SCENES: Final = 40
+
+QUIET: Final = CorruptionConfig(0.0, 0.0, 0.0, 0.0)
+LOUD: Final = CorruptionConfig(0.04, 0.04, 0.002, 0.2, max_added=16)
+ROOMS_FIRST: Final = ("plane", "room", "wall", "floor", "building", "city")
+ONE: Final = {"continuations": 1}
+
+# Of each variant what differs: fields of the run, of how it grows, and of the Fill model.
+VARIANTS: Final[Mapping[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]] = {
+    "as shipped": ({}, {}, {}),
+    "no edges between kin": ({}, {}, {"kin": 0}),
+    "one continuation, eight noise levels": ({}, ONE, {"noise_levels": 8}),
+    "order HP, one continuation": ({}, {**ONE, "ordering": "HP"}, {"noise_levels": 8}),
+    "rooms before walls": ({}, {"layers": ROOMS_FIRST}, {}),
+    "no noise on the graph so far": ({}, {"corruption": QUIET}, {}),
+    "four times that noise": ({}, {"corruption": LOUD}, {}),
+    "from random parameters": ({"initial": None}, {}, {}),
+}
+
+
+def variant(name: str, data: str) -> Config:
+    """Returns the configuration of a variant."""
+    config = find_config("fd4-s-c")
+    run, flagg, model = VARIANTS[name]
+    assert config.flagg is not None
+    return dataclasses.replace(
+        config,
+        data=DataConfig(name=data),
+        model=dataclasses.replace(config.model, **model),
+        flagg=dataclasses.replace(config.flagg, **flagg),
+        steps=STEPS,
+        capacities=(MAX_NODES,),
+        validate_every=STEPS,
+        validation_graphs=SCENES,
+        **run,
+    )
+
+
+def measure(name: str, folder: Path) -> dict[str, Any]:
+    """Trains a variant and returns the scores of its validation scenes."""
+    data = folder / "s-c.npz"
+    small = [graph for graph in registry.make("s-c") if len(graph.nodes.label) <= MAX_NODES]
+    schema.save(data, small, registry.header("s-c"))
+    directory = folder / "run"
+    train(variant(name, str(data)), directory)
+    lines = map(json.loads, (directory / "log.jsonl").read_text().splitlines())
+    *_, last = (line for line in lines if line["kind"] == "validation")
+    return {key: round(last[key], 4) for key in ("fgw", "gw", "w", "exact_structure", "halted")}
+
+
+def main() -> None:
+    """Measures the variants that are asked for, and adds their rows."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("variants", nargs="*", default=list(VARIANTS))
+    for name in parser.parse_args().variants:
+        with tempfile.TemporaryDirectory() as folder:
+            row = measure(name, Path(folder))
+        content = json.loads(RESULT.read_text()) if RESULT.exists() else {"rows": {}}
+        rows = content["rows"] | {name: row}
+        about = {"steps": STEPS, "scenes": SCENES, "cores": os.cpu_count()}
+        ordered = {known: rows[known] for known in VARIANTS if known in rows}
+        RESULT.write_text(json.dumps({**about, "rows": ordered}, indent=2) + "\n")
+        print(name, row, flush=True)
+
+
+if __name__ == "__main__":
+    main()

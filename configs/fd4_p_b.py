@@ -1,0 +1,20 @@
+"""FD4 on P-B: buildings of two real storeys, from the weights of cities."""
+
+from sg3d_jax.fill.fd4 import FD4Config
+from sg3d_jax.flagg.step import FlaggConfig
+from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
+
+CONFIG = Config(
+    data=DataConfig(name="p-b"),  # made of floor plans: --data.name p-b.npz
+    flagg=FlaggConfig(coins=(1,), continuations=8),
+    model=FD4Config(kin=8, noise_levels=1, topology_steps=16),
+    optimiser=OptimiserConfig(warmup_steps=200),
+    initial="fd4-p-c",
+    steps=1_500,
+    batch=8,
+    batch_nodes=2048,
+    steps_per_call=10,
+    capacities=(128, 192, 256),
+    validate_every=1_500,
+    validation_graphs=24,
+)

@@ -1,0 +1,20 @@
+"""FD4 on P-C: cities of real floors, from the weights of single ones."""
+
+from sg3d_jax.fill.fd4 import FD4Config
+from sg3d_jax.flagg.step import FlaggConfig
+from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
+
+CONFIG = Config(
+    data=DataConfig(name="p-c"),  # made of floor plans: --data.name p-c.npz
+    flagg=FlaggConfig(coins=(1,), continuations=8),
+    model=FD4Config(kin=8, noise_levels=1, topology_steps=16),
+    optimiser=OptimiserConfig(warmup_steps=200),
+    initial="fd4-p-f",
+    steps=4_000,
+    batch=8,
+    batch_nodes=2048,
+    steps_per_call=10,
+    capacities=(192, 256, 320),
+    validate_every=2_000,
+    validation_graphs=24,
+)
