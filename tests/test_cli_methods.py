@@ -13,7 +13,7 @@ from sg3d_jax.metrics import report
 from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.scene.concepts import FLOOR, PLANE
 from sg3d_jax.scene.graph import planes_of
-from sg3d_jax.train import loop, methods
+from sg3d_jax.train import loop, methods, models
 from sg3d_jax.train import weights as weights_module
 from sg3d_jax.train.config import to_json
 from sg3d_jax.train.models import GROWING, METHODS
@@ -139,6 +139,32 @@ def test_diffusion_steps_are_those_of_every_method_that_diffuses(weights, capsys
     assert sentence in refusal(capsys, *arguments)
 
 
+def test_the_medoid_of_several_candidates_is_kept(folder, scored, monkeypatch):
+    path, chosen = str(untrained(folder, "midi")), []
+
+    def last(candidates):
+        chosen.extend(candidates)
+        return [len(graphs) - 1 for graphs in candidates]
+
+    monkeypatch.setattr(models, "medoids", last)
+    run("evaluate", path, "--num-graphs", 1, "--candidates", 2, "-o", "a.json")
+    ((_, second),) = chosen
+    assert scored[0][0] is second
+    with open("a.json") as file:
+        assert json.load(file)["candidates"] == 2
+    write("planes.json", SCENES[0])
+    run("complete", "planes.json", "-o", "b.jsonl", "--weights", path, "--candidates", 2)
+    assert [observed(document) for document in documents("b.jsonl")] == SCENES[:1]
+
+
+def test_candidates_are_refused_where_there_are_none(folder, capsys):
+    for arguments, sentence in (
+        ((untrained(folder, "midi"), "--candidates", 0), "--candidates must be at least 1, got 0"),
+        (("rand-s-f", "--candidates", 2), "rand-s-f has no trained weights, expected 1 candidate"),
+    ):
+        assert sentence in refusal(capsys, "evaluate", *arguments)
+
+
 @pytest.mark.parametrize("method", ["ec-square", "ec-l"])
 def test_edge_classifiers_are_refused_more_than_a_floor(method, folder, capsys):
     for data, top in (("s-c", "city"), ("r-b", "building")):
@@ -161,7 +187,7 @@ def test_a_name_is_a_method_on_a_data_set(monkeypatch):
         assert methods.load_method(name, "a.npz").data.name == "a.npz"
 
 
-@pytest.mark.parametrize("name", ["fd4-p-f", "midi-s-c", "midi-or-m-f"])
+@pytest.mark.parametrize("name", ["fd4-m-f", "midi-r-c", "midi-or-m-f"])
 def test_weights_that_do_not_come_with_the_package_are_refused_with_a_way_to_get_them(capsys, name):
     line = refusal(capsys, "evaluate", name)
     assert f"`sg3d train {name}` trains them" in line

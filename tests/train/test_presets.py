@@ -1,6 +1,7 @@
 """Names of methods on data sets, and the configurations behind them."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
@@ -9,6 +10,7 @@ from sg3d_jax.train import presets
 from sg3d_jax.train.config import Config, DataConfig, check
 from sg3d_jax.train.models import METHODS
 from sg3d_jax.train.presets import BASELINES, find_config, parse
+from sg3d_jax.train.weights import names
 from tests.tiny_run import CONFIGS, read_config
 
 
@@ -26,6 +28,19 @@ def test_every_method_has_a_configuration_for_every_data_set(method):
         config = find_config(f"{method}-{data}")
         assert (config.method, config.data.name) == (method, data)
         check(config)
+
+
+def test_a_run_starts_from_weights_that_come_with_the_package_or_of_another_configuration():
+    for path in CONFIGS.glob("*.py"):
+        config = read_config(path.stem)
+        if (start := config.initial) is not None:
+            if (named := parse(Path(start).parent.name)) is None:
+                named = parse(start)
+                assert start in names()
+            else:
+                assert start == f"runs/{'-'.join(named)}/weights.npz"
+                assert (CONFIGS / f"{'_'.join(named)}.py".replace("-", "_")).is_file()
+            assert named.method == config.method
 
 
 def test_a_configuration_of_that_name_comes_first_else_it_is_that_of_the_home():
