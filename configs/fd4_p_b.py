@@ -10,11 +10,11 @@ CONFIG = Config(
     model=FD4Config(kin=8, noise_levels=1, topology_steps=16),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="fd4-p-c",
-    steps=1_500,
+    steps=1_000,
     batch=8,
     batch_nodes=2048,
     steps_per_call=10,
     capacities=(128, 192, 256),
-    validate_every=1_500,
+    validate_every=1_000,
     validation_graphs=24,
 )

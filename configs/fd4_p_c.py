@@ -10,11 +10,11 @@ CONFIG = Config(
     model=FD4Config(kin=8, noise_levels=1, topology_steps=16),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="fd4-p-f",
-    steps=4_000,
+    steps=3_000,
     batch=8,
     batch_nodes=2048,
     steps_per_call=10,
     capacities=(192, 256, 320),
-    validate_every=2_000,
+    validate_every=1_500,
     validation_graphs=24,
 )

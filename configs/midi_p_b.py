@@ -10,11 +10,11 @@ CONFIG = Config(
     model=MiDiConfig(kin=8, noise_levels=1, sampling_steps=32),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="runs/midi-p-c/weights.npz",
-    steps=1_500,
+    steps=1_000,
     batch=8,
     batch_nodes=2048,
     steps_per_call=10,
     capacities=(128, 192, 256),
-    validate_every=1_500,
+    validate_every=1_000,
     validation_graphs=24,
 )

@@ -10,11 +10,11 @@ CONFIG = Config(
     model=MiDiConfig(kin=8, noise_levels=1, sampling_steps=32),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="runs/midi-p-f/weights.npz",
-    steps=2_500,
+    steps=2_000,
     batch=8,
     batch_nodes=2048,
     steps_per_call=10,
     capacities=(192, 256, 320),
-    validate_every=2_500,
+    validate_every=2_000,
     validation_graphs=24,
 )
