@@ -25,7 +25,7 @@ from sg3d_jax.train.presets import find_config
 
 RESULT: Final = Path(__file__).parent / "results" / "ablation.json"
 MAX_NODES: Final = 128
-STEPS: Final = 800
+STEPS: Final = 600
 SCENES: Final = 40
 
 QUIET: Final = CorruptionConfig(0.0, 0.0, 0.0, 0.0)
