@@ -9,7 +9,7 @@ CONFIG = Config(
     flagg=FlaggConfig(coins=(1,), continuations=8),
     model=MiDiConfig(kin=8, noise_levels=1, sampling_steps=32),
     optimiser=OptimiserConfig(warmup_steps=200),
-    initial="runs/midi-p-f/weights.npz",
+    initial="midi-p-f",
     steps=2_000,
     batch=8,
     batch_nodes=2048,

@@ -31,7 +31,6 @@ class FD4Config:
     encoder_width: int = 64
     encoder_layers: int = 3
     gates: int = 16  # channels in which rows are propagated along the old graph
-    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
     node_width: int = 64
     pair_width: int = 48
     layers: int = 4
@@ -42,6 +41,7 @@ class FD4Config:
     noise_levels: int = 6  # diffusion times trained on one encoded graph
     topology_steps: int = 64  # sampling steps of stage one
     distance_steps: int = 8  # sampling steps of stage two
+    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
 
 
 def make_fd4(config: FD4Config, statistics: Statistics) -> Fill:

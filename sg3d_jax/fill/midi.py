@@ -32,11 +32,11 @@ class MiDiConfig:
     encoder_width: int = 64
     encoder_layers: int = 3
     gates: int = 16  # channels in which rows are propagated along the old graph
-    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
     node_width: int = 64
     pair_width: int = 48
     layers: int = 4
     heads: int = 8
+    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
     diffusion_steps: int = 500  # S, of the trained schedules
     position_exponent: float = 2.5  # nu of the schedules: positions settle first,
     edge_exponent: float = 1.5  # then edges,

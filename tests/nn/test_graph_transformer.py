@@ -19,6 +19,7 @@ from sg3d_jax.nn.graph_transformer import (
     propagate,
 )
 from sg3d_jax.scene.concepts import FLOOR, ROOM, WALL
+from sg3d_jax.scene.proximity import connect_kin
 from tests.two_rooms import (
     CAPACITY,
     NO_GATES,
@@ -229,3 +230,15 @@ def test_the_encoder__has_the_same_gates_for_few_rows_and_for_many():
     assert few.dense is None
     rows = jax.random.normal(jax.random.key(0), (2, CAPACITY.nodes, 3))
     np.testing.assert_allclose(propagate(few, rows), propagate(many, rows), atol=1e-5)
+
+
+def test_the_encoder__sees_edges_between_kin_if_it_is_told_to():
+    graph = on_device(SCENE)
+    params = random_params(ENCODER.init, graph)
+    plain = jax.jit(ENCODER.apply)
+    linked = jax.jit(OldGraphEncoder(8, 1, 3, kin=2).apply)(params, graph)
+    expected = plain(params, connect_kin(graph, 2))
+    np.testing.assert_allclose(linked.nodes, expected.nodes, atol=1e-6)
+    np.testing.assert_allclose(linked.gates.values, expected.gates.values, atol=1e-6)
+    changed = np.abs(np.asarray(linked.nodes - plain(params, graph).nodes)).max(axis=-1) > 1e-6
+    assert set(np.flatnonzero(changed)) == set(np.flatnonzero(SCENE.nodes.label == ROOM))
