@@ -89,24 +89,23 @@ def train(config: Config, directory: str | Path) -> Path:
       The path of the weights: the averaged parameters of the best validation FGW.
 
     Raises:
-      ValueError: the configuration is no run, or the directory holds a run of another one.
+      ValueError: the configuration is no run, the directory holds a run of another one, or the
+        weights to start from do not fit.
       FloatingPointError: the loss is not finite; the last good checkpoint stays.
     """
     directory = Path(directory)
     check(config)
     _check_same_run(directory / "config.json", config)
     run = prepare(config)
+    template = init_state(config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
+    start = start_from_weights(config, template)
     directory.mkdir(parents=True, exist_ok=True)
     with replacing(directory / "config.json") as temporary:
         temporary.write_text(to_json(config) + "\n")
-    template = init_state(config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
     checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
     try:
         kept = checkpoint.steps(checkpoints)
-        if kept:
-            state = checkpoint.restore(checkpoints, template, kept[-1][0])
-        else:
-            state = start_from_weights(config, template)
+        state = checkpoint.restore(checkpoints, template, kept[-1][0]) if kept else start
         _run(run, state, checkpoints, directory)
         best = min(checkpoint.steps(checkpoints), key=lambda step_and_fgw: step_and_fgw[1])[0]
         params = checkpoint.restore(checkpoints, template, best).average

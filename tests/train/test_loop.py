@@ -264,4 +264,5 @@ def test_weights_of_another_method_or_of_other_sizes_are_no_start(other, program
     name = str(untrained_weights(tmp_path, other)) if other == "midi" else other
     config = dataclasses.replace(programs.run.config, initial=name)
     with pytest.raises(ValueError, match=rf"initial: {name} are weights of .* with other layers"):
-        start_from_weights(config, programs.initial)
+        train(config, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
