@@ -30,16 +30,12 @@ SCENES: Final = 40
 
 QUIET: Final = CorruptionConfig(0.0, 0.0, 0.0, 0.0)
 LOUD: Final = CorruptionConfig(0.04, 0.04, 0.002, 0.2, max_added=16)
-ROOMS_FIRST: Final = ("plane", "room", "wall", "floor", "building", "city")
-ONE: Final = {"continuations": 1}
 
 # Of each variant what differs: fields of the run, of how it grows, and of the Fill model.
 VARIANTS: Final[Mapping[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]] = {
     "as shipped": ({}, {}, {}),
     "no edges between kin": ({}, {}, {"kin": 0}),
-    "one continuation, eight noise levels": ({}, ONE, {"noise_levels": 8}),
-    "order HP, one continuation": ({}, {**ONE, "ordering": "HP"}, {"noise_levels": 8}),
-    "rooms before walls": ({}, {"layers": ROOMS_FIRST}, {}),
+    "one continuation, eight noise levels": ({}, {"continuations": 1}, {"noise_levels": 8}),
     "no noise on the graph so far": ({}, {"corruption": QUIET}, {}),
     "four times that noise": ({}, {"corruption": LOUD}, {}),
     "from random parameters": ({"initial": None}, {}, {}),

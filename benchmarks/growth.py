@@ -97,6 +97,8 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         linear = [values[0] * n / nodes[0] for n in nodes]
         cost.loglog(nodes, linear, ":", color=line.get_color(), label="linear in the graph")
     cost.set(xlabel="nodes", ylabel="milliseconds", title="Cost")
+    cost.set_xticks(nodes, [str(number) for number in nodes])
+    cost.minorticks_off()
     for name, label in (("growing_gib", "growing"), ("training_gib", "growing, then training")):
         memory.plot(nodes, [row[name] for row in rows], "o-", label=label)
     memory.set(xlabel="nodes", ylabel="GiB", title="Peak memory of the process", ylim=(0, None))
