@@ -72,6 +72,8 @@ def _row(result: Mapping[str, Any], with_weights: bool) -> Row:
     title = TITLES.get(result["method"], result["method"])
     if with_weights and result.get("weights"):
         title = f"{title} ({result['weights']})"
+    if (candidates := result.get("candidates", 1)) > 1:
+        title = f"{title}, medoid of {candidates}"
     return Row(title, tuple(_cell(result["scores"].get(name)) for name in SCORES))
 
 
