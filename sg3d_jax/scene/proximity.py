@@ -7,7 +7,7 @@ itself).
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from sg3d_jax.scene.concepts import PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import Edges, SceneGraph
@@ -30,14 +30,22 @@ def nearest_neighbours(
       index.
     """
     num_nodes = position.shape[0]
+    nearest, found = _k_nearest(position, mask[:, None] & mask[None, :], k)
+    rows = jnp.arange(num_nodes)[:, None]
+    directed = jnp.zeros((num_nodes, num_nodes), bool).at[rows, nearest].set(found)
+    return directed | directed.T
+
+
+def _k_nearest(
+    position: Float[Array, "N 3"], pairs: Bool[Array, "N N"], k: int
+) -> tuple[Int[Array, "N K"], Bool[Array, "N K"]]:
+    """Returns the nearest others of each node among its pairs, and which of them there are."""
+    num_nodes = position.shape[0]
     offset = position[:, None] - position[None, :]
     squared = jnp.sum(offset**2, axis=-1)
-    pairs = mask[:, None] & mask[None, :] & ~jnp.eye(num_nodes, dtype=bool)
-    squared = jnp.where(pairs, squared, jnp.inf)
-    _, nearest = jax.lax.top_k(-squared, min(k, num_nodes))
-    rows = jnp.arange(num_nodes)[:, None]
-    directed = jnp.zeros((num_nodes, num_nodes), bool).at[rows, nearest].set(True) & pairs
-    return directed | directed.T
+    pairs = pairs & ~jnp.eye(num_nodes, dtype=bool)
+    nearness, nearest = jax.lax.top_k(jnp.where(pairs, -squared, -jnp.inf), min(k, num_nodes))
+    return nearest, jnp.isfinite(nearness)
 
 
 def connect_planes(graph: SceneGraph, k: int = NEIGHBOURS) -> SceneGraph:
@@ -95,12 +103,10 @@ def connect_kin(graph: SceneGraph, k: int) -> SceneGraph:
     high = nodes.mask & (nodes.label >= ROOM)
     (slot,) = jnp.nonzero(high, size=num_kin, fill_value=0)
     real = jnp.arange(num_kin) < jnp.sum(high)
-    label, position = nodes.label[slot], nodes.position[slot]
-    squared = jnp.sum((position[:, None] - position[None, :]) ** 2, axis=-1)
+    label = nodes.label[slot]
     pairs = real[:, None] & real[None, :] & (label[:, None] == label[None, :])
-    pairs &= ~jnp.eye(num_kin, dtype=bool)
-    nearness, nearest = jax.lax.top_k(jnp.where(pairs, -squared, -jnp.inf), min(k, num_kin))
-    mask = jnp.isfinite(nearness).ravel()
+    nearest, found = _k_nearest(nodes.position[slot], pairs, k)
+    mask = found.ravel()
     receivers = jnp.where(mask, jnp.repeat(slot, nearest.shape[1]), 0).astype(jnp.int32)
     senders = jnp.where(mask, slot[nearest].ravel(), 0).astype(jnp.int32)
     relation = jnp.full_like(senders, PROXIMITY)
