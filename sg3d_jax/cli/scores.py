@@ -81,7 +81,7 @@ def evaluate(
         "graphs": len(truth),
         "seeds": list(seeds),
         "diffusion_steps": chosen.diffusion_steps,
-        "candidates": chosen.candidates,
+        "candidates": candidates,
         "seconds": seconds,  # a seed; compilation is in the first
         **provenance(),
     }

@@ -34,7 +34,6 @@ class Method(NamedTuple):
     complete: Callable[[Sequence[SceneGraph], int], Result]  # of scenes and a seed
     target: Callable[[SceneGraph], SceneGraph] = lambda graph: graph  # what is to be completed
     diffusion_steps: int | None = None  # of the topology; None for methods without
-    candidates: int = 1  # graphs drawn for each that is kept
 
 
 def load_method(
@@ -111,7 +110,6 @@ def _trained(name: str, data: str | None, diffusion_steps: int | None, candidate
         complete=complete,
         target=lambda graph: models.target(trained.model, graph),
         diffusion_steps=models.sampling_steps(config.model),
-        candidates=candidates,
     )
 
 
