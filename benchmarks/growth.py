@@ -16,6 +16,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,7 +47,7 @@ def measure(weights: str, size: int) -> dict[str, Any]:
     graph = min(drawn, key=lambda graph: abs(len(graph.nodes.label) - size))
     before = peak()
     [[grown]] = complete(trained.model, trained.params, [graph])
-    seconds = min(_seconds(lambda: complete(trained.model, trained.params, [graph]), 3))
+    seconds = _shortest(lambda: complete(trained.model, trained.params, [graph]), 3)
     grown_peak = peak()
 
     config = dataclasses.replace(trained.config, batch=1, steps_per_call=1)
@@ -55,7 +56,7 @@ def measure(weights: str, size: int) -> dict[str, Any]:
     state = init_state(config, trained.model, jax.tree.map(lambda leaf: leaf[0], stack))
     call, key = make_train_call(config, trained.model), jax.random.key(0)
     jax.block_until_ready(call(state, key, stack))
-    step = min(_seconds(lambda: jax.block_until_ready(call(state, key, stack)), 5))
+    step = _shortest(lambda: jax.block_until_ready(call(state, key, stack)), 5)
     return {
         "data": SIZES[size],
         "nodes": len(graph.nodes.label),
@@ -71,14 +72,14 @@ def measure(weights: str, size: int) -> dict[str, Any]:
     }
 
 
-def _seconds(run: Any, times: int) -> list[float]:
-    """Returns how long each of several calls takes."""
+def _shortest(run: Callable[[], Any], times: int) -> float:
+    """Returns how long the shortest of several calls takes, seconds."""
     seconds = []
     for _ in range(times):
         began = time.perf_counter()
         run()
         seconds.append(time.perf_counter() - began)
-    return seconds
+    return min(seconds)
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:

@@ -51,8 +51,7 @@ def make_fd4(config: FD4Config, statistics: Statistics) -> Fill:
       config: sizes and steps.
       statistics: marginals and distance scale of the training set.
     """
-    sizes = config.encoder_width, config.encoder_layers, config.gates
-    encoder = OldGraphEncoder(*sizes, kin=config.kin)
+    encoder = OldGraphEncoder(config.encoder_width, config.encoder_layers, config.gates, config.kin)
     topology = RectangleTransformer(
         config.node_width, config.pair_width, config.layers, config.heads, config.gates
     )

@@ -240,8 +240,7 @@ def make_midi(config: MiDiConfig, statistics: Statistics) -> Fill:
       config: sizes and steps.
       statistics: marginals and spread of positions of the training set.
     """
-    sizes = config.encoder_width, config.encoder_layers, config.gates
-    encoder = OldGraphEncoder(*sizes, kin=config.kin)
+    encoder = OldGraphEncoder(config.encoder_width, config.encoder_layers, config.gates, config.kin)
     network, schedules = make_network(config), make_schedules(config)
 
     def frame_of(graph: SceneGraph) -> Frame:
