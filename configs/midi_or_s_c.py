@@ -9,11 +9,11 @@ CONFIG = Config(
     flagg=None,
     optimiser=OptimiserConfig(learning_rate=5e-4, warmup_steps=100),
     initial="midi-or-s-f",
-    steps=2_000,
+    steps=4_000,
     batch=4,
     batch_nodes=256,  # a graph of N nodes has N / 2 x 3 N / 2 pairs
     steps_per_call=10,
     capacities=(64, 96, 128, 192, 256),
-    validate_every=2_000,
+    validate_every=4_000,
     validation_graphs=12,
 )

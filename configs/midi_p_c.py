@@ -10,7 +10,7 @@ CONFIG = Config(
     model=MiDiConfig(kin=8, noise_levels=1, sampling_steps=32),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="midi-p-f",
-    steps=2_000,
+    steps=4_000,
     batch=8,
     batch_nodes=2048,
     steps_per_call=10,
