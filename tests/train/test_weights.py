@@ -10,7 +10,13 @@ import pytest
 from sg3d_jax.flagg.step import Params
 from sg3d_jax.train import weights
 from sg3d_jax.train.models import CLASSIFYING, GROWING, METHODS, build_model
-from sg3d_jax.train.weights import load_weights, names, save_weights, with_diffusion_steps
+from sg3d_jax.train.weights import (
+    load_weights,
+    names,
+    pack_weights,
+    save_weights,
+    with_diffusion_steps,
+)
 from tests.tiny_run import MODELS, SCALES, STATISTICS, read_config
 
 CONFIG = read_config("test")
@@ -21,8 +27,8 @@ PARAMS = Params(
 )
 
 PARAMETERS = {  # of the weights of the package: the first digits of a hash
-    "fd4-s-f": "d34aaaa1e3f9293c",
-    "fd4-s-f-square": "f1ad7cd0951479e0",
+    "fd4-s-f": "d421bcbdf77c6032",
+    "fd4-s-f-square": "7d170d87e7f2ba8b",
 }
 
 
@@ -42,6 +48,32 @@ def test_weights_read_back_bit_for_bit(path):
     assert loaded.config == CONFIG
     assert loaded.name == str(path)
     assert loaded.model.config == CONFIG.flagg
+
+
+def test_packed_weights_are_half_as_large_and_rounded_once(path, tmp_path):
+    (tmp_path / "package").mkdir()
+    (tmp_path / "again").mkdir()
+    packed = pack_weights(path, tmp_path / "package")
+    assert packed.name == f"fd4-{CONFIG.data.name}.npz"
+    with np.load(packed) as content:
+        kinds = {content[name].dtype for name in content.files if name.startswith("params/")}
+    assert kinds == {np.dtype(np.float16)}
+    loaded, again = load_weights(packed), load_weights(pack_weights(packed, tmp_path / "again"))
+    assert loaded.config == CONFIG
+    for one, exact in zip(*map(jax.tree.leaves, (loaded.params, PARAMS)), strict=True):
+        assert one.dtype == jnp.float32
+        npt.assert_allclose(one, exact, rtol=2.0**-11, atol=2.0**-25)
+    for trees in ((again.params, loaded.params), (loaded.statistics, STATISTICS)):
+        jax.tree.map(npt.assert_array_equal, *trees)
+
+
+def test_packed_weights_name_their_data_set_not_its_file(tmp_path):
+    data = dataclasses.replace(CONFIG.data, name=str(tmp_path / "p-f.npz"))
+    config = dataclasses.replace(CONFIG, data=data)
+    run = save_weights(tmp_path / "weights.npz", config, STATISTICS, PARAMS)
+    packed = pack_weights(run, tmp_path)
+    assert packed.name == "fd4-p-f.npz"
+    assert load_weights(packed).config.data.name == "p-f"
 
 
 @pytest.mark.parametrize("method", METHODS)
