@@ -46,6 +46,7 @@ VARIANTS: Final[Mapping[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any
     "one or four nodes a block": ({}, {"coins": (1, 4)}, {}),
     "no noise on the graph so far": ({}, {"corruption": QUIET}, {}),
     "four times that noise": ({}, {"corruption": LOUD}, {}),
+    "Insert and Halt on the clean graph": ({}, {"corrupt_heads": False}, {}),
     "from random parameters": ({"initial": None}, {}, {}),
     "from random parameters, five encoder layers": ({"initial": None}, {}, {"encoder_layers": 5}),
 }
