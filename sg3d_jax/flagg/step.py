@@ -106,22 +106,20 @@ def loss(
 
     Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
     """
-    key_cut, key_corrupt, key_fill = jax.random.split(key, 3)
-    config = model.config
+    key_cut, key_corrupt, key_blocks, key_fill = jax.random.split(key, 4)
+    config, number = model.config, model.config.continuations
     cut = cut_graph(config, key_cut, graph)
     old = corrupt(cut.survivors, key_corrupt, config.corruption)
-    if config.continuations == 1:
-        fill_loss, terms = model.fill.loss(params.fill, key_fill, old, cut.block)
+    if number == 1:
+        blocks = jax.tree.map(lambda leaf: leaf[None], cut.block)
     else:
-        key_blocks, key_fill = jax.random.split(key_fill)
-        number = config.continuations
         blocks = draw_continuations(graph, cut, key_blocks, number, config.layers)
 
-        def fill(key: Key[Array, ""], block: Block) -> Any:  # encodes the old graph once under vmap
-            return model.fill.loss(params.fill, key, old, block)
+    def fill(key: Key[Array, ""], block: Block) -> Any:  # encodes the old graph once under vmap
+        return model.fill.loss(params.fill, key, old, block)
 
-        losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
-        fill_loss, terms = jax.tree.map(jnp.mean, losses)
+    losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
+    fill_loss, terms = jax.tree.map(jnp.mean, losses)
     seen = old if config.corrupt_heads else cut.survivors
     terms["insert"] = insert_loss(model.insert.logits(params.insert, seen), cut.insert_probs)
     terms["halt"] = halt_loss(model.halt.logit(params.halt, seen), cut.complete, cut.inserted)

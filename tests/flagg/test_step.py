@@ -53,7 +53,7 @@ def test_loss__is_the_sum_of_the_three_modules_on_one_cut(simple):
     @jax.jit
     def both(key, again):
         total, terms = step.loss(model, params, key, graph)
-        cut = step.cut_graph(model.config, jax.random.split(again, 3)[0], graph)
+        cut = step.cut_graph(model.config, jax.random.split(again, 4)[0], graph)
         logits = model.insert.logits(params.insert, cut.survivors)
         logit = model.halt.logit(params.halt, cut.survivors)
         halt = halt_loss(logit, cut.complete, cut.inserted)
@@ -125,7 +125,7 @@ def test_loss__is_a_mean_over_what_may_come_next():
 
     @jax.jit
     def both(key, again):
-        cut = step.cut_graph(config, jax.random.split(again, 3)[0], graph)
+        cut = step.cut_graph(config, jax.random.split(again, 4)[0], graph)
         return step.loss(model, params, key, graph)[1], cut
 
     for seed in range(8):
