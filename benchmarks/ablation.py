@@ -41,7 +41,6 @@ VARIANTS: Final[Mapping[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any
     "no edges between kin": ({}, {}, {"kin": 0}),
     "one continuation, eight noise levels": ({}, ONE_CONTINUATION, EIGHT_LEVELS),
     "the same in the order HP": ({}, {**ONE_CONTINUATION, "ordering": "HP"}, EIGHT_LEVELS),
-    "half of the steps drawn by layer": ({}, {"layer_balance": 0.5}, {}),
     "rooms before walls": ({}, {"layers": ROOMS_FIRST}, {}),
     "one or four nodes a block": ({}, {"coins": (1, 4)}, {}),
     "no noise on the graph so far": ({}, {"corruption": QUIET}, {}),

@@ -6,7 +6,7 @@ from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
 
 CONFIG = Config(
     data=DataConfig(name="p-b"),  # made of floor plans: --data.name p-b.npz
-    flagg=FlaggConfig(coins=(1,), layer_balance=0.5, continuations=8),
+    flagg=FlaggConfig(coins=(1,), continuations=8),
     model=MiDiConfig(kin=8, noise_levels=1, sampling_steps=32),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="midi-p-c",

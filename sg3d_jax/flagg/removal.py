@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Key
 
-from sg3d_jax.flagg.blocks import Schedule, draw_schedule, insert_posterior
+from sg3d_jax.flagg.blocks import draw_schedule, insert_posterior
 from sg3d_jax.flagg.ordering import Ordering, insertion_rank
-from sg3d_jax.scene.concepts import CONCEPTS, NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.concepts import CONCEPTS, PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block, part_of_adjacency
 
@@ -35,17 +35,15 @@ def draw_cut(
     coins: tuple[int, ...],
     ordering: Ordering = "H",
     layers: tuple[str, ...] = CONCEPTS,
-    layer_balance: float = 0.0,
 ) -> Cut:
     """Draws an order, a schedule and a step of a complete graph, and cuts it there.
 
     Args:
       graph: padded and complete.
-      key: a new key gives a new trajectory and a new step among its T + 1 graphs.
+      key: a new key gives a new trajectory and a new step, uniform over its T + 1 graphs.
       coins: block sizes; the block capacity `M` is the largest.
       ordering: "H" or "HP".
       layers: the concepts in the order of insertion.
-      layer_balance: of `step_probabilities`; 0 makes all steps alike.
 
     Returns:
       The cut. Its block indexes old nodes by their slots in `graph`.
@@ -58,8 +56,7 @@ def draw_cut(
     rank = insertion_rank(graph, key_order, ordering, layers)
     num_missing = jnp.sum((rank >= 0) & graph.nodes.mask, dtype=jnp.int32)
     schedule = draw_schedule(key_schedule, num_missing, coins, num_nodes)
-    chances = step_probabilities(graph, rank, schedule, layer_balance)
-    step = jax.random.categorical(key_step, jnp.log(chances))
+    step = jax.random.randint(key_step, (), 0, schedule.num_steps + 1)
     complete = step == schedule.num_steps
     num_inserted = jnp.where(complete, num_missing, schedule.start[step])
     size = jnp.where(complete, 0, schedule.size[step])
@@ -71,42 +68,6 @@ def draw_cut(
         has_block=~complete,
         inserted=step > 0,
     )
-
-
-def step_probabilities(
-    graph: SceneGraph, rank: Int[Array, " N"], schedule: Schedule, layer_balance: float
-) -> Float[Array, " steps"]:
-    """Returns the chance with which each graph of a trajectory is trained on.
-
-    A large floor has hundreds of walls and rooms to one floor and one moment to halt, so that
-    uniform steps hardly show its upper layers. A share of the draws takes a layer first, each that
-    the graph has alike, and then a step that begins in it; to be complete counts as a layer. What
-    is learnt of one step does not depend on how often the others are drawn, so the optimum of every
-    module is the same.
-
-    Args:
-      graph: padded and complete.
-      rank: of `insertion_rank`.
-      schedule: of `N` slots.
-      layer_balance: the share, 0 to 1.
-
-    Returns:
-      The chances of the steps 0 to N; zero beyond the complete graph.
-
-    Differs: FLAGG trains on every step of a trajectory alike.
-    """
-    num_nodes = rank.shape[0]
-    steps = jnp.arange(num_nodes + 1)
-    real = steps <= schedule.num_steps
-    place = jnp.where(rank >= 0, rank, num_nodes)  # planes have none
-    label_at = jnp.zeros_like(graph.nodes.label).at[place].set(graph.nodes.label, mode="drop")
-    first = jnp.pad(label_at[schedule.start], (0, 1))
-    layer = jnp.where(steps < schedule.num_steps, first, NUM_CONCEPTS)
-    member = real[:, None] & (layer[:, None] == jnp.arange(NUM_CONCEPTS + 1)[None])
-    count = jnp.sum(member, axis=0)
-    by_layer = jnp.sum(member / jnp.maximum(count, 1)[None], axis=-1) / jnp.sum(count > 0)
-    uniform = real / (schedule.num_steps + 1)
-    return (1 - layer_balance) * uniform + layer_balance * by_layer
 
 
 def draw_continuations(

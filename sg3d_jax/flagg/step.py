@@ -28,7 +28,6 @@ class FlaggConfig:
     coins: tuple[int, ...] = (1, 4)  # block sizes
     ordering: Ordering = "H"
     layers: tuple[str, ...] = CONCEPTS  # sigma_C, the order in which concepts are inserted
-    layer_balance: float = 0.0  # share of training steps drawn by layer, so that all are seen
     continuations: int = 1  # blocks that may come next, trained on one encoded graph
     corruption: CorruptionConfig = CorruptionConfig()
     corrupt_heads: bool = True  # whether Insert and Halt, too, see the perturbed graph
@@ -43,8 +42,6 @@ class FlaggConfig:
                 f"flagg.layers must begin with 'plane' and name each of {', '.join(CONCEPTS)} "
                 f"once, got {', '.join(self.layers)}"
             )
-        if not 0 <= self.layer_balance <= 1:
-            raise ValueError(f"flagg.layer_balance is {self.layer_balance}, expected 0 to 1")
         if self.continuations < 1 or (self.continuations > 1 and self.ordering != "H"):
             raise ValueError(
                 f"flagg.continuations is {self.continuations}, expected 1, or more in the order H: "
@@ -81,8 +78,7 @@ def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
 
 def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph) -> Cut:
     """Cuts a complete padded graph at a random step of a random insertion sequence."""
-    order = config.ordering, config.layers
-    return draw_cut(graph, key, config.coins, *order, config.layer_balance)
+    return draw_cut(graph, key, config.coins, config.ordering, config.layers)
 
 
 def init(model: Flagg, key: Key[Array, ""], graph: SceneGraph) -> Params:

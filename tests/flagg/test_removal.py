@@ -3,15 +3,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sg3d_jax.flagg.blocks import draw_schedule, fewest_coins
-from sg3d_jax.flagg.ordering import insertion_rank
+from sg3d_jax.flagg.blocks import fewest_coins
 from sg3d_jax.flagg.removal import (
     check_one_shot,
     draw_continuations,
     draw_cut,
     one_shot_capacity,
     one_shot_cut,
-    step_probabilities,
 )
 from sg3d_jax.scene.concepts import PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import undirected_edges
@@ -146,26 +144,6 @@ def test_a_graph_of_planes_only__is_complete_and_has_no_block():
     assert not cut.has_block.any()
     assert not cut.inserted.any()
     assert not cut.insert_probs.any()
-
-
-@pytest.mark.parametrize("coins", [(1,), COINS])
-@pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
-def test_step_probabilities__are_those_of_a_loop_over_steps_and_layers(coins, balance):
-    graph = with_garbage(on_device(SCENE), 0)
-    for key_order, key_schedule in jax.random.split(jax.random.key(2), (4, 2)):
-        rank = insertion_rank(graph, key_order)
-        schedule = draw_schedule(key_schedule, jnp.asarray(NUM_HIGH), coins, len(rank))
-        found = step_probabilities(graph, rank, schedule, balance)
-        order = np.argsort(np.asarray(rank))[NUM_PLANES:]
-        layers = [
-            int(graph.nodes.label[order[start]]) for start in schedule.start[: schedule.num_steps]
-        ]
-        layers.append(-1)  # complete
-        for step, layer in enumerate(layers):
-            by_layer = 1 / len(set(layers)) / layers.count(layer)
-            expected = (1 - balance) / len(layers) + balance * by_layer
-            np.testing.assert_allclose(found[step], expected, rtol=1e-5)
-        assert not found[len(layers) :].any()
 
 
 def test_continuations__are_drawn_as_the_blocks_of_cuts_with_the_same_survivors():

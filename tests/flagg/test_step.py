@@ -134,24 +134,6 @@ def test_loss__is_a_mean_over_what_may_come_next():
         assert 0.2 < terms["noise"] < 0.8  # of sixteen keys
 
 
-@pytest.mark.parametrize("balance", [-0.1, 1.5])
-def test_a_share_by_layer__is_between_none_and_all(balance):
-    with pytest.raises(ValueError, match=rf"flagg.layer_balance is {balance}, expected 0 to 1"):
-        step.FlaggConfig(layer_balance=balance)
-
-
-def test_cuts__are_drawn_by_layer_as_the_configuration_says():
-    def share_complete(balance):
-        keys = jax.random.split(jax.random.key(int(balance)), 600)
-        config = step.FlaggConfig(coins=(1,), layer_balance=balance)
-        cut = functools.partial(step.cut_graph, config, graph=on_device(SCENE))
-        return float(jnp.mean(jax.vmap(lambda key: cut(key))(keys).complete))
-
-    high = SCENE.nodes.label[NUM_PLANES:]
-    assert share_complete(0.0) == pytest.approx(1 / (len(high) + 1), abs=0.05)
-    assert share_complete(1.0) == pytest.approx(1 / (len(set(high)) + 1), abs=0.05)
-
-
 @pytest.mark.parametrize(("continuations", "ordering"), [(0, "H"), (2, "HP")])
 def test_continuations__are_refused_where_there_are_none(continuations, ordering):
     with pytest.raises(ValueError, match=f"flagg.continuations is {continuations}, expected 1"):
