@@ -7,7 +7,7 @@ from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
 CONFIG = Config(
     data=DataConfig(name="p-f"),  # made of floor plans: --data.name p-f.npz
     flagg=FlaggConfig(coins=(1,), continuations=8),
-    model=MiDiConfig(noise_levels=1, sampling_steps=32),
+    model=MiDiConfig(kin=8, noise_levels=1, sampling_steps=32),
     optimiser=OptimiserConfig(warmup_steps=200),
     initial="midi-s-f",
     steps=4_000,

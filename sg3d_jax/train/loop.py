@@ -55,8 +55,12 @@ def prepare(config: Config) -> Run:
 
 
 def bucket_of_call(config: Config, stacks: Sequence[SceneGraph], call: int) -> int:
-    """Draws the bucket of one compiled call, in proportion to its graphs, from seed and call."""
-    sizes = np.array([stack.n_node.shape[0] for stack in stacks])
+    """Draws the bucket of one compiled call, in proportion to its nodes, from seed and call.
+
+    A graph has as many growth steps as nodes to insert. FLAGG trains on all of them, so a large
+    graph counts more; otherwise the large floors among many small ones would hardly be seen.
+    """
+    sizes = np.array([np.sum(stack.n_node[:, 0]) for stack in stacks])
     return int(np.random.default_rng([config.seed, call]).choice(len(sizes), p=sizes / sizes.sum()))
 
 
