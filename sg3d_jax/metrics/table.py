@@ -24,7 +24,8 @@ class Row(NamedTuple):
 def rows_by_data(results: Sequence[Mapping[str, Any]]) -> dict[str, list[Row]]:
     """Returns the rows of each data set: methods in the paper's order, its row above ours.
 
-    Results of other methods come last. Of several results of one method, each tells its weights.
+    Results of other methods come last. Of several results of one method, each tells its weights; a
+    result of fewer scenes than another of its data set tells how many.
 
     Raises:
       ValueError: a result lacks a field; the sentence says which result and field.
@@ -37,10 +38,11 @@ def rows_by_data(results: Sequence[Mapping[str, Any]]) -> dict[str, list[Row]]:
     tables = {}
     for data in dict.fromkeys(result["data"] for result in results):
         ours: dict[str, list[Row]] = {method: [] for method in TITLES}
-        for result in results:
-            if result["data"] == data:
-                several = seen[data, result["method"]] > 1
-                ours.setdefault(result["method"], []).append(_row(result, several))
+        of_data = [result for result in results if result["data"] == data]
+        most = max(result.get("graphs", 0) for result in of_data)
+        for result in of_data:
+            row = _row(result, seen[data, result["method"]] > 1, result.get("graphs", most) < most)
+            ours.setdefault(result["method"], []).append(row)
         published = PAPER.get(data, {})
         tables[data] = [
             row
@@ -67,13 +69,15 @@ def render(results: Sequence[Mapping[str, Any]], to: str = "markdown") -> str:
     return "\n".join(draw(data, rows) for data, rows in tables.items())
 
 
-def _row(result: Mapping[str, Any], with_weights: bool) -> Row:
+def _row(result: Mapping[str, Any], with_weights: bool, with_graphs: bool) -> Row:
     """Returns the row of a result."""
     title = TITLES.get(result["method"], result["method"])
     if with_weights and result.get("weights"):
         title = f"{title} ({result['weights']})"
     if (candidates := result.get("candidates", 1)) > 1:
         title = f"{title}, medoid of {candidates}"
+    if with_graphs:
+        title = f"{title}, {result['graphs']} scenes"
     return Row(title, tuple(_cell(result["scores"].get(name)) for name in SCORES))
 
 

@@ -55,6 +55,13 @@ def test_a_medoid_of_several_candidates_is_told():
     assert rows_by_data([RESULT | {"candidates": 1}]) == rows_by_data([RESULT])
 
 
+def test_a_result_of_a_part_of_the_scenes_tells_how_many():
+    part, whole = RESULT | {"graphs": 60}, RESULT | {"method": "midi", "graphs": 600}
+    rows = [row.method for row in rows_by_data([part, whole])["s-f"]]
+    assert rows[rows.index("FD4 (paper)") + 1] == "FD4, 60 scenes"
+    assert rows[rows.index("MiDi (paper)") + 1] == "MiDi"
+
+
 def test_several_results_of_a_method_tell_their_weights():
     other = RESULT | {"weights": "runs/new/weights.npz"}
     elsewhere = RESULT | {"data": "r-f"}
