@@ -42,11 +42,15 @@ VARIANTS: Final[Mapping[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any
     "one continuation, eight noise levels": ({}, ONE_CONTINUATION, EIGHT_LEVELS),
     "the same in the order HP": ({}, {**ONE_CONTINUATION, "ordering": "HP"}, EIGHT_LEVELS),
     "rooms before walls": ({}, {"layers": ROOMS_FIRST}, {}),
-    "one or four nodes a block": ({}, {"coins": (1, 4)}, {}),
     "no noise on the graph so far": ({}, {"corruption": QUIET}, {}),
     "four times that noise": ({}, {"corruption": LOUD}, {}),
     "Insert and Halt on the clean graph": ({}, {"corrupt_heads": False}, {}),
     "from random parameters": ({"initial": None}, {}, {}),
+    "from random parameters, one or four nodes a block": (
+        {"initial": None},
+        {"coins": (1, 4)},
+        {},
+    ),
     "from random parameters, five encoder layers": ({"initial": None}, {}, {"encoder_layers": 5}),
 }
 
@@ -95,7 +99,7 @@ def main() -> None:
         rows[name] = rows.get(name, {}) | {f"seed {arguments.seed}": scores}
         about = {"steps": STEPS, "scenes": SCENES, "cores": os.cpu_count()}
         ordered = {known: rows[known] for known in VARIANTS if known in rows}
-        RESULT.write_text(json.dumps({**about, "rows": ordered}, indent=2) + "\n")
+        RESULT.write_text(json.dumps({**about, "rows": ordered | rows}, indent=2) + "\n")
         print(name, arguments.seed, scores, flush=True)
 
 
