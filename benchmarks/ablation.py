@@ -44,7 +44,6 @@ VARIANTS: Final[Mapping[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any
     "rooms before walls": ({}, {"layers": ROOMS_FIRST}, {}),
     "no noise on the graph so far": ({}, {"corruption": QUIET}, {}),
     "four times that noise": ({}, {"corruption": LOUD}, {}),
-    "Insert and Halt on the clean graph": ({}, {"corrupt_heads": False}, {}),
     "from random parameters": ({"initial": None}, {}, {}),
     "from random parameters, one or four nodes a block": (
         {"initial": None},

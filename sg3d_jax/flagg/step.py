@@ -30,7 +30,6 @@ class FlaggConfig:
     layers: tuple[str, ...] = CONCEPTS  # sigma_C, the order in which concepts are inserted
     continuations: int = 1  # blocks that may come next, trained on one encoded graph
     corruption: CorruptionConfig = CorruptionConfig()
-    corrupt_heads: bool = True  # whether Insert and Halt, too, see the perturbed graph
     width: int = 32  # of Insert and Halt
     depth: int = 2  # GINE layers of Insert and Halt
     halt_by_threshold: bool = True  # False: by a draw
@@ -97,8 +96,7 @@ def loss(
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
     """Returns the sum of all losses on one random cut of one complete graph, and its terms.
 
-    All three modules see the perturbed conditioning graph, or Fill alone if `corrupt_heads` is
-    False; the clean block is the target.
+    All three modules see the perturbed conditioning graph; the clean block is the target.
 
     Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
     """
@@ -116,9 +114,8 @@ def loss(
 
     losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
     fill_loss, terms = jax.tree.map(jnp.mean, losses)
-    seen = old if config.corrupt_heads else cut.survivors
-    terms["insert"] = insert_loss(model.insert.logits(params.insert, seen), cut.insert_probs)
-    terms["halt"] = halt_loss(model.halt.logit(params.halt, seen), cut.complete, cut.inserted)
+    terms["insert"] = insert_loss(model.insert.logits(params.insert, old), cut.insert_probs)
+    terms["halt"] = halt_loss(model.halt.logit(params.halt, old), cut.complete, cut.inserted)
     return fill_loss + terms["insert"] + terms["halt"], terms
 
 
