@@ -25,7 +25,7 @@ def rows_by_data(results: Sequence[Mapping[str, Any]]) -> dict[str, list[Row]]:
     """Returns the rows of each data set: methods in the paper's order, its row above ours.
 
     Results of other methods come last. Of several results of one method, each tells its weights; a
-    result of fewer scenes than another of its data set tells how many.
+    result of fewer scenes than another of its split tells how many.
 
     Raises:
       ValueError: a result lacks a field; the sentence says which result and field.
@@ -39,8 +39,9 @@ def rows_by_data(results: Sequence[Mapping[str, Any]]) -> dict[str, list[Row]]:
     for data in dict.fromkeys(result["data"] for result in results):
         ours: dict[str, list[Row]] = {method: [] for method in TITLES}
         of_data = [result for result in results if result["data"] == data]
-        most = max(result.get("graphs", 0) for result in of_data)
         for result in of_data:
+            of_split = [other for other in of_data if other.get("split") == result.get("split")]
+            most = max(other.get("graphs", 0) for other in of_split)
             row = _row(result, seen[data, result["method"]] > 1, result.get("graphs", most) < most)
             ours.setdefault(result["method"], []).append(row)
         published = PAPER.get(data, {})

@@ -60,6 +60,8 @@ def test_a_result_of_a_part_of_the_scenes_tells_how_many():
     rows = [row.method for row in rows_by_data([part, whole])["s-f"]]
     assert rows[rows.index("FD4 (paper)") + 1] == "FD4, 60 scenes"
     assert rows[rows.index("MiDi (paper)") + 1] == "MiDi"
+    elsewhere = part | {"split": "validation"}
+    assert "FD4" in [row.method for row in rows_by_data([elsewhere, whole])["s-f"]]
 
 
 def test_several_results_of_a_method_tell_their_weights():
