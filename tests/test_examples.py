@@ -11,7 +11,9 @@ from sg3d_jax.flagg.sample import growth_capacity
 from sg3d_jax.scene.validate import validate_planes
 from tests.tiny_run import ROOT
 
-FILES = sorted(p for p in (ROOT / "examples").iterdir() if p.suffix not in {".png", ".py"})
+FILES = sorted(
+    p for p in (ROOT / "examples").iterdir() if p.is_file() and p.suffix not in {".png", ".py"}
+)
 
 
 def test_there_is_one_of_every_format():
