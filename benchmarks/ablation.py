@@ -5,7 +5,7 @@
 Every variant is trained on the cities of S-C that have at most 128 nodes, for the same number of
 steps from the weights of single floors, and grows validation scenes. Results are added to
 benchmarks/results/ablation.json, so variants and seeds can be run one at a time. These trainings
-are a sixth of those of the shipped weights: what is compared is how fast they get there.
+are a fifth of those of the shipped weights: what is compared is how fast they get there.
 """
 
 import argparse
@@ -30,7 +30,6 @@ SCENES: Final = 80
 
 QUIET: Final = CorruptionConfig(0.0, 0.0, 0.0, 0.0)
 LOUD: Final = CorruptionConfig(0.04, 0.04, 0.002, 0.2, max_added=16)
-
 ROOMS_FIRST: Final = ("plane", "room", "wall", "floor", "building", "city")
 ONE_CONTINUATION: Final = {"continuations": 1}
 EIGHT_LEVELS: Final = {"noise_levels": 8}

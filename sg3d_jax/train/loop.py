@@ -54,14 +54,19 @@ def prepare(config: Config) -> Run:
     return Run(config, model, statistics, stacks, validation)
 
 
-def bucket_of_call(config: Config, stacks: Sequence[SceneGraph], call: int) -> int:
-    """Draws the bucket of one compiled call, in proportion to its nodes, from seed and call.
+def shares_of(stacks: Sequence[SceneGraph]) -> np.ndarray:
+    """Returns the share of calls that each bucket gets: that of its nodes.
 
     A graph has as many growth steps as nodes to insert. FLAGG trains on all of them, so a large
     graph counts more; otherwise the large floors among many small ones would hardly be seen.
     """
     sizes = np.array([np.sum(stack.n_node[:, 0]) for stack in stacks])
-    return int(np.random.default_rng([config.seed, call]).choice(len(sizes), p=sizes / sizes.sum()))
+    return sizes / sizes.sum()
+
+
+def bucket_of_call(config: Config, shares: np.ndarray, call: int) -> int:
+    """Draws the bucket of one compiled call by `shares_of`, from seed and call."""
+    return int(np.random.default_rng([config.seed, call]).choice(len(shares), p=shares))
 
 
 def validate(run: Run, params: Params) -> dict[str, float]:
@@ -144,11 +149,11 @@ def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, direc
     config = run.config
     train_call = make_train_call(config, run.model)
     record = writers(directory)
-    key = jax.random.key(config.seed + 1)
+    key, shares = jax.random.key(config.seed + 1), shares_of(run.stacks)
     with display(config.steps, int(state.step)) as shown:
         while int(state.step) < config.steps:
             first, began = int(state.step), time.monotonic()
-            bucket = bucket_of_call(config, run.stacks, first // config.steps_per_call)
+            bucket = bucket_of_call(config, shares, first // config.steps_per_call)
             state, metrics = train_call(state, key, run.stacks[bucket])
             step, values = int(state.step), {name: float(value) for name, value in metrics.items()}
             if not np.isfinite(values["loss"] + values["gradient_norm"]):

@@ -11,7 +11,14 @@ import pytest
 from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.train import checkpoint, loop
 from sg3d_jax.train.config import to_json
-from sg3d_jax.train.loop import bucket_of_call, prepare, start_from_weights, train, validate
+from sg3d_jax.train.loop import (
+    bucket_of_call,
+    prepare,
+    shares_of,
+    start_from_weights,
+    train,
+    validate,
+)
 from sg3d_jax.train.models import complete
 from sg3d_jax.train.step import init_state
 from sg3d_jax.train.weights import load_weights
@@ -205,12 +212,13 @@ def test_a_run_that_cannot_begin_leaves_no_directory(tmp_path):
 def test_buckets_are_drawn_in_proportion_to_their_nodes_from_seed_and_call(trained):
     config = trained.run.config
     stacks = [trained.run.stacks[0], jax.tree.map(lambda leaf: leaf[:2], trained.run.stacks[0])]
-    drawn = [bucket_of_call(config, stacks, call) for call in range(400)]
-    assert drawn == [bucket_of_call(config, stacks, call) for call in range(400)]
+    shares = shares_of(stacks)
+    drawn = [bucket_of_call(config, shares, call) for call in range(400)]
+    assert drawn == [bucket_of_call(config, shares, call) for call in range(400)]
     all_nodes, two_graphs = (int(np.sum(stack.nodes.mask)) for stack in stacks)
     npt.assert_allclose(np.mean(drawn), two_graphs / (all_nodes + two_graphs), atol=0.08)
     other = dataclasses.replace(config, seed=1)
-    assert drawn != [bucket_of_call(other, stacks, call) for call in range(400)]
+    assert drawn != [bucket_of_call(other, shares, call) for call in range(400)]
 
 
 def test_every_loss_of_the_model_is_there_and_finite(trained):
