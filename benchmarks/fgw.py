@@ -32,7 +32,7 @@ from sg3d_jax.data import registry
 from sg3d_jax.metrics.fgw import fgw, fgw_pairs
 from sg3d_jax.metrics.fgw_problem import ALPHA, pose
 from sg3d_jax.metrics.frank_wolfe import from_assignment, minimise
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PART_OF, PLANE
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.padding import bucket, pad, stack
 

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from sg3d_jax.data import registry
-from sg3d_jax.data.describe import describe
+from sg3d_jax.metrics.describe import describe
 
 NUM_GRAPHS: Final = 2000
 RESULTS: Final = Path(__file__).parent / "results" / "generator.json"

@@ -36,9 +36,9 @@ def measure(weights: str, size: int) -> dict[str, Any]:
     import jax
 
     from sg3d_jax.data import registry
-    from sg3d_jax.scene.concepts import PLANE
+    from sg3d_jax.scene.ontology import PLANE
     from sg3d_jax.train.dataset import stack_by_size
-    from sg3d_jax.train.models import complete
+    from sg3d_jax.train.methods import complete
     from sg3d_jax.train.step import init_state, make_train_call
     from sg3d_jax.train.weights import load_weights
 

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from sg3d_jax.data import floorplan, msd
-from sg3d_jax.data.describe import describe
+from sg3d_jax.metrics.describe import describe
 from sg3d_jax.data.levels import LEVELS
 
 RESULTS = Path(__file__).parent / "results"

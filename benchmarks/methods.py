@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from sg3d_jax.train.dataset import load_split
-from sg3d_jax.train.methods import load_method
+from sg3d_jax.train.evaluation import load_method
 
 METHODS = ("rand", "ec-square", "ec-l", "midi-or", "fd4", "midi")
 RESULTS = Path(__file__).parent / "results"

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from sg3d_jax.data import registry
-from sg3d_jax.data.formats import FORMATS, read_graphs, write_graphs
-from sg3d_jax.scene.concepts import PART_OF, PROXIMITY
+from sg3d_jax.io.formats import FORMATS, read_graphs, write_graphs
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 from sg3d_jax.scene.graph import SceneGraph, undirected_edges
 
 RESULTS: Final = Path(__file__).parent / "results" / "round_trips.json"

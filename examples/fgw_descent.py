@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from sg3d_jax.data import registry
 from sg3d_jax.metrics.fgw_loss import fgw_loss
 from sg3d_jax.metrics.fgw_problem import one_hot
-from sg3d_jax.scene.concepts import PLANE
+from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import bucket, pad
 from sg3d_jax.viz.figure import contact_sheet

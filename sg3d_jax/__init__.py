@@ -4,19 +4,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sg3d_jax.data.formats import read_graphs, read_planes, write_graphs
+    from sg3d_jax.io.formats import read_graphs, read_planes, write_graphs
     from sg3d_jax.data.registry import make as make_dataset
     from sg3d_jax.data.splits import split
-    from sg3d_jax.flagg.sample import Completion, Grown, grow_from_planes
-    from sg3d_jax.interop.networkx import from_networkx, to_networkx
+    from sg3d_jax.flagg.grow import Completion, Grown, grow_from_planes
+    from sg3d_jax.io.networkx import from_networkx, to_networkx
     from sg3d_jax.metrics.entropic import entropic_fgw
     from sg3d_jax.metrics.fgw import FGW, fgw, fgw_pairs
     from sg3d_jax.metrics.fgw_loss import fgw_loss
     from sg3d_jax.metrics.mmd import mmd_scores
     from sg3d_jax.metrics.report import score
-    from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of
+    from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of
     from sg3d_jax.scene.padding import pad, stack, unpad
-    from sg3d_jax.train.models import complete
+    from sg3d_jax.train.methods import complete
     from sg3d_jax.train.weights import load_weights
 
 __version__ = "0.1.0"
@@ -37,7 +37,7 @@ __all__ = [
     "make_graph",
     "mmd_scores",
     "pad",
-    "planes_of",
+    "observed_of",
     "read_graphs",
     "read_planes",
     "score",
@@ -61,7 +61,7 @@ _NAMES = {
     "metrics.fgw_loss": ("fgw_loss",),
     "metrics.mmd": ("mmd_scores",),
     "metrics.report": ("score",),
-    "scene.graph": ("SceneGraph", "make_graph", "planes_of"),
+    "scene.graph": ("SceneGraph", "make_graph", "observed_of"),
     "scene.padding": ("pad", "stack", "unpad"),
     "train.models": ("complete",),
     "train.weights": ("load_weights",),

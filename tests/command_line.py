@@ -7,7 +7,7 @@ from typing import Final
 import pytest
 
 from sg3d_jax import cli
-from sg3d_jax.interop.planes import COLUMNS, planes_to_dict
+from sg3d_jax.io.planes import COLUMNS, planes_to_dict
 from tests.tiny_run import small_floors
 
 SCENES: Final = [planes_to_dict(graph) for graph in small_floors()[:3]]

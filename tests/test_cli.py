@@ -15,10 +15,10 @@ import pytest
 import sg3d_jax
 from sg3d_jax import __version__
 from sg3d_jax.data import registry
-from sg3d_jax.data.formats import read_graphs, write_graphs
+from sg3d_jax.io.formats import read_graphs, write_graphs
 from sg3d_jax.flagg import sample
 from sg3d_jax.metrics.paper import SCORES
-from sg3d_jax.scene.concepts import CONCEPTS
+from sg3d_jax.scene.ontology import CONCEPTS
 from sg3d_jax.train import methods, models
 from sg3d_jax.train import weights as weights_module
 from tests.command_line import (

@@ -8,15 +8,15 @@ import os
 import jax
 import pytest
 
-from sg3d_jax.data.formats import read_graphs, write_graphs
+from sg3d_jax.io.formats import read_graphs, write_graphs
 from sg3d_jax.metrics import report
 from sg3d_jax.metrics.fgw import FGW
-from sg3d_jax.scene.concepts import FLOOR, PLANE
-from sg3d_jax.scene.graph import planes_of
+from sg3d_jax.scene.ontology import FLOOR, PLANE
+from sg3d_jax.scene.graph import observed_of
 from sg3d_jax.train import loop, methods, models
 from sg3d_jax.train import weights as weights_module
 from sg3d_jax.train.config import to_json
-from sg3d_jax.train.models import GROWING, METHODS
+from sg3d_jax.train.methods import GROWING, METHODS
 from sg3d_jax.train.weights import load_weights
 from sg3d_jax.viz import figure
 from tests.command_line import SCENES, documents, observed, refusal, run, write
@@ -203,7 +203,7 @@ def test_methods_are_drawn_on_the_same_scenes(folder, monkeypatch):
     run("sheet", "rand-s-f", weights, *options, "-o", "a.png")
     titles, graphs = zip(*rows, strict=True)
     assert titles == ("Rand", "EC-L", "truth")
-    planes = [[planes_of(graph).nodes.position.tolist() for graph in row] for row in graphs]
+    planes = [[observed_of(graph).nodes.position.tolist() for graph in row] for row in graphs]
     assert planes[0] == planes[1] == planes[2]
     assert [len(graph.nodes.label) for graph in graphs[2]] == [
         len(graph.nodes.label) for graph in small_floors()[3:5]

@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from sg3d_jax.data.formats import read_planes
-from sg3d_jax.flagg.sample import growth_capacity
+from sg3d_jax.io.formats import read_planes
+from sg3d_jax.flagg.grow import growth_capacity
 from sg3d_jax.scene.validate import validate_planes
 from tests.tiny_run import ROOT
 

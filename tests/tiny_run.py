@@ -16,11 +16,11 @@ from sg3d_jax.baselines.midi_oracle import MiDiOracleConfig
 from sg3d_jax.data import registry, schema
 from sg3d_jax.fill.midi import MiDiConfig
 from sg3d_jax.fill.protocol import Statistics
-from sg3d_jax.flagg.sample import growth_capacity
-from sg3d_jax.scene.concepts import PLANE
+from sg3d_jax.flagg.grow import growth_capacity
+from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
-from sg3d_jax.train.models import (
+from sg3d_jax.train.methods import (
     CLASSIFYING,
     GROWING,
     METHODS,

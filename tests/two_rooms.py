@@ -9,10 +9,10 @@ import numpy as np
 
 from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.nn.graph_transformer import Gates
-from sg3d_jax.scene.concepts import FLOOR, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, undirected_edges
 from sg3d_jax.scene.padding import Block, Capacity, pad, part_of_adjacency
-from sg3d_jax.scene.proximity import connect_planes
+from sg3d_jax.scene.proximity import connect_observed
 
 CAPACITY: Final = Capacity(16, 128)
 TWICE: Final = Capacity(32, 256)
@@ -36,7 +36,7 @@ NO_GATES: Final = Gates(jnp.zeros((0, 0)), jnp.zeros(0, int), jnp.zeros(0, int),
 WEST, EAST = (0.0, 4.0, 0.0, 3.0), (4.2, 9.0, 0.1, 3.4)  # x and y of both rooms, metres
 
 
-_connect = jax.jit(connect_planes)
+_connect = jax.jit(connect_observed)
 
 
 def planes_of_room(
@@ -70,7 +70,7 @@ def on_device(graph: SceneGraph, capacity: Capacity = CAPACITY) -> SceneGraph:
 
 def observed(graph: SceneGraph) -> SceneGraph:
     """Returns the planes of a host graph on the device, connected."""
-    return _connect(on_device(planes_of(graph)))
+    return _connect(on_device(observed_of(graph)))
 
 
 def all_at_once() -> Block:

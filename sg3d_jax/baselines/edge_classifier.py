@@ -36,7 +36,7 @@ from sg3d_jax.baselines.edge_features import (
     near_planes,
     relative_features,
 )
-from sg3d_jax.flagg.sample import ONE_SHOT, Completion, Grown, complete_in_batches
+from sg3d_jax.flagg.grow import ONE_SHOT, Completion, Grown, complete_in_batches
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.edge_attention import (
     NO_ROOM,
@@ -46,10 +46,10 @@ from sg3d_jax.nn.edge_attention import (
     reverse_of,
     room_means,
 )
-from sg3d_jax.scene.concepts import BUILDING, FLOOR, NUM_RELATIONS, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of, undirected_edges
+from sg3d_jax.scene.ontology import BUILDING, FLOOR, NUM_RELATIONS, PLANE, ROOM, WALL
+from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, undirected_edges
 from sg3d_jax.scene.padding import Capacity, bucket, part_of_adjacency, stack
-from sg3d_jax.scene.proximity import NEIGHBOURS, connect_planes
+from sg3d_jax.scene.proximity import NEIGHBOURS, connect_observed
 
 Params = Any
 Terms = dict[str, Float[Array, ""]]
@@ -320,7 +320,7 @@ def classify_batch(
     model: EdgeClassifier, params: Params, keys: Key[Array, " B"], planes: SceneGraph
 ) -> tuple[SceneGraph, Classified]:
     """Connects the planes of stacked scenes and classifies their edges."""
-    connected = jax.vmap(connect_planes)(planes)
+    connected = jax.vmap(connect_observed)(planes)
     classify = functools.partial(model.classify, params)
     return connected, jax.vmap(classify)(keys, connected)
 
@@ -352,7 +352,7 @@ def _complete_lanes(
             row[list(members)] = index
     offset = np.asarray(offset_batch(model, params, planes, jnp.asarray(room)))
     graphs = [
-        with_rooms_and_walls(planes_of(graph), rooms, walls, row[: len(rooms)])
+        with_rooms_and_walls(observed_of(graph), rooms, walls, row[: len(rooms)])
         for (graph, _), (rooms, walls), row in zip(lanes, found, offset, strict=True)
     ]
     capacity = Capacity(

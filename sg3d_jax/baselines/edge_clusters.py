@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from sg3d_jax.scene.concepts import ROOM, WALL
+from sg3d_jax.scene.ontology import ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph
 
 Pairs = np.ndarray  # int[e, 2], undirected, each pair once

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from sg3d_jax.nn.edge_attention import Links
 from sg3d_jax.nn.embed import safe_norm
-from sg3d_jax.scene.concepts import PLANE, PROXIMITY
+from sg3d_jax.scene.ontology import PLANE, PROXIMITY
 from sg3d_jax.scene.graph import Nodes, SceneGraph
 
 

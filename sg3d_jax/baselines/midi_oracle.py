@@ -27,13 +27,13 @@ from sg3d_jax.fill import digress, midi
 from sg3d_jax.fill.midi import Frame, MiDiConfig, Schedules
 from sg3d_jax.fill.protocol import Params, Statistics, frame_centre
 from sg3d_jax.flagg.removal import one_shot_capacity, one_shot_cut
-from sg3d_jax.flagg.sample import ONE_SHOT, Completion, Grown, complete_in_batches
+from sg3d_jax.flagg.grow import ONE_SHOT, Completion, Grown, complete_in_batches
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, OldGraphEncoder
-from sg3d_jax.scene.concepts import PLANE
+from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import append_block, bucket, without_proximity
-from sg3d_jax.scene.proximity import connect_planes
+from sg3d_jax.scene.proximity import connect_observed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +137,7 @@ def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOr
     def sample(
         params: Params, key: Key[Array, ""], planes: SceneGraph, num_new: Int[Array, ""]
     ) -> Grown:
-        planes = connect_planes(planes)
+        planes = connect_observed(planes)
         frame = frame_of(planes)
         block_mask = jnp.arange(one_shot_capacity(planes.nodes.mask.shape[0])) < num_new
         masks = block_mask, planes.nodes.mask

@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PART_OF, PLANE
-from sg3d_jax.scene.graph import SceneGraph, make_graph, planes_of, undirected_edges
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE
+from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, undirected_edges
 
 # The text does not say over which pairs the frequency of edges is taken, and no way to take it that
 # was tried gives the published scores. These bring the four MMD scores nearest to them.
@@ -91,7 +91,7 @@ def complete(model: RandModel, scenes: Sequence[SceneGraph], seed: int = 0) -> l
 
 
 def _complete(model: RandModel, scene: SceneGraph, rng: np.random.Generator) -> SceneGraph:
-    planes = planes_of(scene).nodes
+    planes = observed_of(scene).nodes
     num_planes, num_new = len(planes.label), int(rng.choice(model.num_nodes))
     label = rng.choice(NUM_CONCEPTS, size=num_new, p=model.label_share)
     middle, spread = planes.position.mean(axis=0), planes.position.std(axis=0)

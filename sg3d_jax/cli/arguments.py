@@ -17,7 +17,7 @@ PAGES: Final = (".html",)
 def read(source: str, index: int | None = None, count: int | None = None) -> list[Any]:
     """Returns graphs of a data set or a file: one of them, or the first so many."""
     from sg3d_jax.data import registry
-    from sg3d_jax.data.formats import read_graphs
+    from sg3d_jax.io.formats import read_graphs
 
     if registry.is_name(source):
         graphs = registry.make(source, count if index is None else index + 1)

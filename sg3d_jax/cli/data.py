@@ -18,7 +18,7 @@ from sg3d_jax.cli.arguments import (
     counted,
     read,
 )
-from sg3d_jax.interop.files import replacing
+from sg3d_jax.io.files import replacing
 
 app: Final = tyro.extras.SubcommandApp()
 
@@ -82,7 +82,7 @@ def describe(
       output: also write all statistics as JSON, by name.
     """
     from sg3d_jax.data import registry
-    from sg3d_jax.data.describe import describe as statistics
+    from sg3d_jax.metrics.describe import describe as statistics
 
     check_output(output, (".json",))
     if not names:
@@ -104,7 +104,7 @@ def check(source: Positional[str]) -> None:
     Args:
       source: a file of graphs in any format, or a data set by name.
     """
-    from sg3d_jax.data.check import check as remarks_on
+    from sg3d_jax.metrics.oddities import check as remarks_on
     from sg3d_jax.scene.validate import validate_graph
 
     graphs = read(source)
@@ -161,7 +161,7 @@ def _print_data_sets() -> None:
 def _print_statistics(summaries: dict[str, dict[str, Any]], known: dict[str, str]) -> None:
     """Shows the columns of the paper's table of data sets, the paper's figures in brackets."""
     from sg3d_jax.data.registry import DATASETS
-    from sg3d_jax.scene.concepts import CONCEPTS
+    from sg3d_jax.scene.ontology import CONCEPTS
 
     table = Table(title=r"Means over graphs \[the paper's]")
     table.add_column("data set")

@@ -53,7 +53,7 @@ def export(
       walls: for spark-dsg, whether planes are joined to their walls by edges, or name them in their
         metadata, so that each plane has one parent as Hydra expects.
     """
-    from sg3d_jax.data.formats import write_graphs
+    from sg3d_jax.io.formats import write_graphs
 
     check_output(output, (".json", ".jsonl", ".graphml", ".npz"))
     if walls != "edges" and to != "spark-dsg":

@@ -41,7 +41,7 @@ def complete(
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
     """
-    from sg3d_jax.data.formats import check_writable, read_graphs, read_planes, write_graphs
+    from sg3d_jax.io.formats import check_writable, read_graphs, read_planes, write_graphs
     from sg3d_jax.train import models
     from sg3d_jax.viz.figure import save_picture
 
@@ -115,7 +115,7 @@ def _trained(weights: str, diffusion_steps: int | None) -> Any:
 
 def _say_what_was_grown(output: Path, graphs: list, extras: list[dict[str, Any]]) -> None:
     """Prints what was written, and every graph that did not come to its end."""
-    from sg3d_jax.scene.concepts import CONCEPTS
+    from sg3d_jax.scene.ontology import CONCEPTS
 
     for graph, extra in zip(graphs[:8], extras, strict=False):
         labels = [CONCEPTS[label] for label in graph.nodes.label]

@@ -20,7 +20,7 @@ from sg3d_jax.cli.arguments import (
     counted,
 )
 from sg3d_jax.cli.provenance import provenance
-from sg3d_jax.interop.files import read_documents, replacing
+from sg3d_jax.io.files import read_documents, replacing
 from sg3d_jax.metrics.paper import HEADINGS, SCORES, TITLES
 
 
@@ -54,7 +54,7 @@ def evaluate(
     """
     from sg3d_jax.metrics.report import score, summary
     from sg3d_jax.train.dataset import load_split
-    from sg3d_jax.train.methods import load_method
+    from sg3d_jax.train.evaluation import load_method
 
     check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
     check_at_least("--seeds", min(seeds, default=-1), 0)
@@ -141,7 +141,7 @@ def sheet(
       seed: of the samples.
     """
     from sg3d_jax.train.dataset import load_split
-    from sg3d_jax.train.methods import load_method
+    from sg3d_jax.train.evaluation import load_method
     from sg3d_jax.viz.figure import contact_sheet
 
     check_at_least("the number of methods", len(methods), 1)

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.concepts import BUILDING, CITY, CONCEPTS, FLOOR, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import BUILDING, CITY, CONCEPTS, FLOOR, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph
 
 BUILDING_ABOVE_FLOOR: Final = 2.0  # metres above the highest floor of the building

@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.data.buildings import Storey
 from sg3d_jax.data.levels import Floor, Floors
-from sg3d_jax.interop.files import number, read_text
+from sg3d_jax.io.files import number, read_text
 
 MIN_PIECE: Final = 0.9  # of a room's area that must stay in one piece when it is repaired
 TOUCHING: Final = 0.01  # metres: rooms closer than this are drawn without a wall between them

@@ -13,9 +13,9 @@ from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from sg3d_jax.data import schema, synthetic
-from sg3d_jax.data.schema import Dataset
+from sg3d_jax.io.npz import Dataset
 from sg3d_jax.data.synthetic import CityConfig, SyntheticConfig
-from sg3d_jax.scene.concepts import BUILDING, CITY, CONCEPTS, FLOOR
+from sg3d_jax.scene.ontology import BUILDING, CITY, CONCEPTS, FLOOR
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.validate import validate_graph
 

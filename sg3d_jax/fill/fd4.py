@@ -19,7 +19,7 @@ from sg3d_jax.nn.graph_transformer import (
     OldGraphEncoder,
     RectangleTransformer,
 )
-from sg3d_jax.scene.concepts import BUILDING
+from sg3d_jax.scene.ontology import BUILDING
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
 from sg3d_jax.flagg.removal import Cut
-from sg3d_jax.scene.concepts import NUM_CONCEPTS
+from sg3d_jax.scene.ontology import NUM_CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block
 

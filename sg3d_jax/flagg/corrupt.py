@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PART_OF, PLANE
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE
 from sg3d_jax.scene.graph import Edges, SceneGraph
 from sg3d_jax.scene.padding import part_of_adjacency
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from sg3d_jax.scene.concepts import CONCEPTS, NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import CONCEPTS, NUM_CONCEPTS, PLANE
 from sg3d_jax.scene.graph import SceneGraph
 
 Ordering = Literal["H", "HP"]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Key
 
 from sg3d_jax.flagg.blocks import draw_schedule, insert_posterior
 from sg3d_jax.flagg.ordering import Ordering, insertion_rank
-from sg3d_jax.scene.concepts import CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import CONCEPTS, PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block, part_of_adjacency
 

@@ -16,7 +16,7 @@ from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss, make_halt
 from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss, make_insert
 from sg3d_jax.flagg.ordering import Ordering
 from sg3d_jax.flagg.removal import Cut, draw_continuations, draw_cut
-from sg3d_jax.scene.concepts import CONCEPTS
+from sg3d_jax.scene.ontology import CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Block, append_block
 

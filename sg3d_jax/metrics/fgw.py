@@ -25,7 +25,7 @@ from sg3d_jax.metrics.fgw_problem import (
     pose,
 )
 from sg3d_jax.metrics.frank_wolfe import TOLERANCE, Search, from_product, minimise
-from sg3d_jax.scene.concepts import PART_OF, PLANE
+from sg3d_jax.scene.ontology import PART_OF, PLANE
 from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph
 from sg3d_jax.scene.padding import Capacity, bucket
 
@@ -173,7 +173,7 @@ def _fgw_chunk(
     filled = [(NOTHING, NOTHING)] * (share * mesh.size)
     for slot, pair in zip(slots, pairs, strict=True):
         filled[slot] = pair
-    origins = np.stack([_centre_of_planes(truth) for _, truth in filled])
+    origins = np.stack([_centre_of_observed(truth) for _, truth in filled])
     sides = (_stack(graphs, origins, capacity) for graphs in zip(*filled, strict=True))
     scores = _fgw_stacked(*sides, alpha, scale, loss=loss, mesh=mesh)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[slots], scores)
@@ -206,7 +206,7 @@ def _fgw_stacked(
     )(generated, truth)
 
 
-def _centre_of_planes(truth: SceneGraph) -> np.ndarray:
+def _centre_of_observed(truth: SceneGraph) -> np.ndarray:
     """Returns the mean plane of a host graph, or zero: an origin at which float32 is fine."""
     position = np.asarray(truth.nodes.position, np.float64)
     planes = position[np.asarray(truth.nodes.mask) & (np.asarray(truth.nodes.label) == PLANE)]

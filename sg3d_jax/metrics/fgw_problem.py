@@ -26,7 +26,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sg3d_jax.metrics.shortest_path import part_of_hops
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PLANE
 from sg3d_jax.scene.graph import SceneGraph
 
 Scalar = float | Float[Array, ""]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sg3d_jax.data.check import oddities
+from sg3d_jax.metrics.oddities import oddities
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.fgw_problem import ALPHA
 from sg3d_jax.metrics.mmd import mmd_scores
@@ -17,7 +17,7 @@ from sg3d_jax.metrics.structure import (
     num_duplicates,
     num_forbidden_edges,
 )
-from sg3d_jax.scene.concepts import CONCEPTS, NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import CONCEPTS, NUM_CONCEPTS, PLANE
 from sg3d_jax.scene.graph import SceneGraph
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.concepts import (
+from sg3d_jax.scene.ontology import (
     BUILDING,
     CITY,
     CONCEPTS,

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, NUM_RELATIONS
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, NUM_RELATIONS
 from sg3d_jax.scene.graph import Nodes, SceneGraph
 from sg3d_jax.scene.padding import part_of_adjacency
 

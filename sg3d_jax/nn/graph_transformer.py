@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sg3d_jax.nn.embed import Surface, relative_to_points, sinusoids, surface_of
 from sg3d_jax.nn.gine import GINE
-from sg3d_jax.scene.concepts import NUM_CONCEPTS
+from sg3d_jax.scene.ontology import NUM_CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.proximity import connect_kin
 

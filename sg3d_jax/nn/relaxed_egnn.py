@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sg3d_jax.nn.embed import Surface, multiscale, relative_to_points, safe_norm, sinusoids
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleLayer, block_symmetric
-from sg3d_jax.scene.concepts import NUM_CONCEPTS
+from sg3d_jax.scene.ontology import NUM_CONCEPTS
 
 POSITION_HEADS = 4
 

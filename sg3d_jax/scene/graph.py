@@ -5,27 +5,34 @@ Shape letters, here and everywhere: `N` node capacity, `E` edge capacity, `M` bl
 
 The same type holds a graph on the host (numpy, exact size, float64, every mask True) and on the
 device (jax, padded, float32). Boolean masks travel with the data because jraph's own padding masks
-are silently wrong when a graph fills its capacity (jraph issue 55).
+are silently wrong when a graph fills its capacity (jraph issue 55). A padded graph whose real nodes
+and edges fill the first slots is a `PackedGraph`; only such a one can be appended to.
 """
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import jraph
 import numpy as np
 
-from sg3d_jax.scene.concepts import PART_OF, PLANE, PROXIMITY
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PROXIMITY, RELATIONS, Ontology
 
 Array = Any  # jax.Array on the device, np.ndarray on the host: no checker can know which
+
+# What a node may have beside its position, and the shape of it: fields of `Nodes`. Which concepts
+# have which is said by the ontology; formats and checks go through this table.
+FEATURES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType({"normal": (3,), "width": ()})
 
 
 class Nodes(NamedTuple):
     """Node fields; padding rows are zero."""
 
-    label: Array  # int32[N], index into CONCEPTS
+    label: Array  # int32[N], place among the concepts of the ontology
     position: Array  # float[N, 3], centroid, metres
-    normal: Array  # float[N, 3], unit, into the room; zero for all but planes
-    width: Array  # float[N], metres; zero for all but planes
+    normal: Array  # float[N, 3], unit, into the room; zero for concepts that have none
+    width: Array  # float[N], horizontal extent, metres; zero for concepts that have none
+    observed: Array  # bool[N], True for real nodes that are given and never generated
     mask: Array  # bool[N], True for real nodes
 
 
@@ -47,44 +54,58 @@ if TYPE_CHECKING:
         receivers: Array  # int32[E]
         n_node: Array  # int32[1], or int32[2] if padded: real nodes, padding
         n_edge: Array  # int32[1], or int32[2]
-        globals: None
+        globals: Ontology  # its concepts; no array, but part of the tree structure
 
 else:
     SceneGraph = jraph.GraphsTuple
 
 
+class PackedGraph(SceneGraph):
+    """A padded graph whose real nodes and real edges fill the first slots."""
+
+    __slots__ = ()
+
+
 def make_graph(
     label: Sequence[int] | Array,
     position: Array,
-    normal: Array,
-    width: Array,
-    part_of: Array,
-    proximity: Array | None = None,
+    normal: Array | None = None,
+    width: Array | None = None,
+    part_of: Array = (),
+    proximity: Array = (),
+    ontology: Ontology = PAPER_ONTOLOGY,
 ) -> SceneGraph:
     """Builds an unpadded host graph from undirected edges.
 
     Args:
       label: int[n].
       position: float[n, 3], metres.
-      normal: float[n, 3], unit for planes, zero otherwise.
-      width: float[n], metres, zero for all but planes.
+      normal: float[n, 3], unit for planes, zero for what has none; None for all zero.
+      width: float[n], metres, zero for what has none; None for all zero.
       part_of: int[e, 2], pairs of node indices in either direction, each pair once.
-      proximity: int[p, 2], likewise; None for none.
+      proximity: int[p, 2], likewise.
+      ontology: the concepts.
 
     Returns:
       A numpy `SceneGraph` whose edges are all forward directions, then all backward ones.
     """
     part_of = np.asarray(part_of, np.int32).reshape(-1, 2)
-    proximity = np.asarray([] if proximity is None else proximity, np.int32).reshape(-1, 2)
+    proximity = np.asarray(proximity, np.int32).reshape(-1, 2)
     pairs = np.concatenate([proximity, part_of])
     relation = np.repeat([PROXIMITY, PART_OF], [len(proximity), len(part_of)]).astype(np.int32)
     label = np.asarray(label, np.int32)
+    features = {
+        name: np.zeros((len(label), *FEATURES[name])) if array is None else np.asarray(array, float)
+        for name, array in (("normal", normal), ("width", width))
+    }
+    known = (label >= 0) & (label < ontology.num_concepts)  # what is not is refused when validated
     return SceneGraph(
         nodes=Nodes(
             label=label,
             position=np.asarray(position, np.float64).reshape(-1, 3),
-            normal=np.asarray(normal, np.float64).reshape(-1, 3),
-            width=np.asarray(width, np.float64),
+            normal=features["normal"].reshape(-1, 3),
+            width=features["width"],
+            observed=known & ontology.is_observed[np.where(known, label, 0)],
             mask=np.ones(len(label), bool),
         ),
         edges=Edges(np.concatenate([relation, relation]), np.ones(2 * len(pairs), bool)),
@@ -92,8 +113,18 @@ def make_graph(
         receivers=np.concatenate([pairs[:, 1], pairs[:, 0]]),
         n_node=np.array([len(label)], np.int32),
         n_edge=np.array([2 * len(pairs)], np.int32),
-        globals=None,
+        globals=ontology,
     )
+
+
+def ontology_of(graph: SceneGraph) -> Ontology:
+    """Returns the concepts of a graph."""
+    return graph.globals
+
+
+def features_of(graph: SceneGraph) -> dict[str, Array]:
+    """Returns the features of the nodes by name, as `make_graph` takes them."""
+    return {name: getattr(graph.nodes, name) for name in FEATURES}
 
 
 def undirected_edges(graph: SceneGraph, relation: int) -> np.ndarray:
@@ -104,15 +135,63 @@ def undirected_edges(graph: SceneGraph, relation: int) -> np.ndarray:
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-def planes_of(graph: SceneGraph) -> SceneGraph:
-    """Returns the observed part of a host graph: its planes, without edges, in their order."""
-    nodes = graph.nodes
-    keep = np.asarray(nodes.mask) & (np.asarray(nodes.label) == PLANE)
-    no_edges = np.zeros((0, 2), np.int32)
+def parts_first(graph: SceneGraph) -> np.ndarray:
+    """Returns the part-of edges of a host graph as int32[e, 2], the part before its whole."""
+    label, pairs = np.asarray(graph.nodes.label), undirected_edges(graph, PART_OF)
+    order = np.argsort(label[pairs], axis=1, kind="stable")
+    return np.take_along_axis(pairs, order, axis=1)
+
+
+def subgraph(graph: SceneGraph, rows: Array, edges: bool = True) -> SceneGraph:
+    """Returns the host graph of some nodes, with the edges between them.
+
+    Args:
+      graph: padded or not; its arrays are read on the host.
+      rows: int[k], which nodes, in the order that they are to have; or bool[n].
+      edges: False to leave all edges out.
+    """
+    rows = np.asarray(rows)
+    rows = np.flatnonzero(rows) if rows.dtype == bool else rows
+    place = np.full(len(graph.nodes.label), -1)
+    place[rows] = np.arange(len(rows))
+    pairs = {
+        name: place[undirected_edges(graph, relation) if edges else np.zeros((0, 2), int)]
+        for relation, name in enumerate(RELATIONS)
+    }
     return make_graph(
-        np.asarray(nodes.label)[keep],
-        np.asarray(nodes.position)[keep],
-        np.asarray(nodes.normal)[keep],
-        np.asarray(nodes.width)[keep],
-        no_edges,
+        np.asarray(graph.nodes.label)[rows],
+        np.asarray(graph.nodes.position)[rows],
+        **{name: np.asarray(array)[rows] for name, array in features_of(graph).items()},
+        **{name: inside[(inside >= 0).all(axis=-1)] for name, inside in pairs.items()},
+        ontology=ontology_of(graph),
+    )
+
+
+def observed_of(graph: SceneGraph) -> SceneGraph:
+    """Returns the observed part of a graph on the host: its planes, without edges, in order."""
+    return subgraph(graph, np.asarray(graph.nodes.observed), edges=False)
+
+
+def extended(graph: SceneGraph, label: Array, position: Array, part_of: Array) -> SceneGraph:
+    """Appends nodes without features to a host graph.
+
+    Args:
+      graph: unpadded, n nodes.
+      label: int[k], of the new ones.
+      position: float[k, 3], metres.
+      part_of: int[e, 2], further pairs of node indices; new nodes are n to n + k - 1.
+    """
+    new = len(label)
+    return make_graph(
+        np.concatenate([graph.nodes.label, np.asarray(label, np.int32)]),
+        np.concatenate([graph.nodes.position, np.asarray(position, float).reshape(-1, 3)]),
+        **{
+            name: np.concatenate([array, np.zeros((new, *FEATURES[name]))])
+            for name, array in features_of(graph).items()
+        },
+        part_of=np.concatenate(
+            [undirected_edges(graph, PART_OF), np.asarray(part_of, np.int32).reshape(-1, 2)]
+        ),
+        proximity=undirected_edges(graph, PROXIMITY),
+        ontology=ontology_of(graph),
     )

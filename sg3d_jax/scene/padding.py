@@ -1,7 +1,7 @@
-"""Fixed capacities: buckets, padding, stacking, and appending a block to a padded graph.
+"""Fixed capacities: buckets, padding, stacking, and appending a block to a packed graph.
 
-Real nodes fill the first slots. Padding nodes are zero; padding edges are loops on slot 0 with a
-False mask, so that a gather stays in range and a masked sum ignores them.
+Padding nodes are zero; padding edges are loops on slot 0 with a False mask, so that a gather stays
+in range and a masked sum ignores them.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sg3d_jax.scene.concepts import PART_OF, PLANE
-from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.graph import Edges, Nodes, PackedGraph, SceneGraph, subgraph
+from sg3d_jax.scene.ontology import PART_OF
 
 NODE_CAPACITIES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
 EDGES_PER_NODE = 12  # proximity edges are about 12 a plane (both directions), part-of 2.5 a node
@@ -50,8 +50,11 @@ def bucket(num_nodes: int, num_edges: int = 0) -> Capacity:
     )
 
 
-def pad(graph: SceneGraph, capacity: Capacity) -> SceneGraph:
-    """Pads a host graph to a capacity, in float32; still numpy.
+def pad(graph: SceneGraph, capacity: Capacity) -> PackedGraph:
+    """Pads a host graph to a capacity; still numpy, in the types that it has.
+
+    JAX rounds positions to float32 when it takes them over, which far from the origin loses
+    centimetres (at 100 km, 8 mm): move graphs there first, or leave it to `complete` and `fgw`.
 
     Raises:
       ValueError: the graph does not fit.
@@ -64,35 +67,55 @@ def pad(graph: SceneGraph, capacity: Capacity) -> SceneGraph:
         )
 
     def grow(array: np.ndarray, size: int) -> np.ndarray:
-        dtype = np.float32 if np.issubdtype(array.dtype, np.floating) else array.dtype
-        padded = np.zeros((size, *array.shape[1:]), dtype)
-        padded[: len(array)] = array
-        return padded
+        array = np.asarray(array)
+        return np.pad(array, [(0, size - len(array)), *[(0, 0)] * (array.ndim - 1)])
 
-    return SceneGraph(
-        nodes=Nodes(*(grow(np.asarray(field), capacity.nodes) for field in graph.nodes)),
-        edges=Edges(*(grow(np.asarray(field), capacity.edges) for field in graph.edges)),
-        senders=grow(np.asarray(graph.senders), capacity.edges),
-        receivers=grow(np.asarray(graph.receivers), capacity.edges),
+    return PackedGraph(
+        nodes=Nodes(*(grow(field, capacity.nodes) for field in graph.nodes)),
+        edges=Edges(*(grow(field, capacity.edges) for field in graph.edges)),
+        senders=grow(graph.senders, capacity.edges),
+        receivers=grow(graph.receivers, capacity.edges),
         n_node=np.array([num_nodes, capacity.nodes - num_nodes], np.int32),
         n_edge=np.array([num_edges, capacity.edges - num_edges], np.int32),
-        globals=None,
+        globals=graph.globals,
     )
 
 
 def unpad(graph: SceneGraph) -> SceneGraph:
     """Returns the real nodes and edges of one padded graph as a host graph."""
-    keep = np.asarray(graph.nodes.mask)
-    slot = np.cumsum(keep) - 1
-    pairs = {relation: slot[undirected_edges(graph, relation)] for relation in (0, 1)}
-    return make_graph(
-        *(np.asarray(field)[keep] for field in graph.nodes[:4]),
-        part_of=pairs[1],
-        proximity=pairs[0],
+    return subgraph(graph, np.asarray(graph.nodes.mask))
+
+
+def pack(graph: SceneGraph) -> PackedGraph:
+    """Moves the real nodes and edges of one padded graph to the first slots, in their order.
+
+    Padding is zero afterwards. Runs under `jit` and `vmap`.
+    """
+    nodes, edges = graph.nodes, graph.edges
+    order, edge_order = (jnp.argsort(~mask, stable=True) for mask in (nodes.mask, edges.mask))
+    place = jnp.argsort(order)
+
+    def moved(array: Array, mask: Array, order: Array) -> Array:
+        array = jnp.where(mask.reshape(-1, *[1] * (array.ndim - 1)), array, 0)
+        return array[order].astype(array.dtype)
+
+    def counts(mask: Array) -> Array:
+        return jnp.stack([jnp.sum(mask), jnp.sum(~mask)]).astype(jnp.int32)
+
+    ends = (place[end].astype(end.dtype) for end in (graph.senders, graph.receivers))
+    senders, receivers = (moved(end, edges.mask, edge_order) for end in ends)
+    return PackedGraph(
+        nodes=Nodes(*(moved(field, nodes.mask, order) for field in nodes)),
+        edges=Edges(*(moved(field, edges.mask, edge_order) for field in edges)),
+        senders=senders,
+        receivers=receivers,
+        n_node=counts(nodes.mask),
+        n_edge=counts(edges.mask),
+        globals=graph.globals,
     )
 
 
-def stack(graphs: Sequence[SceneGraph], capacity: Capacity) -> SceneGraph:
+def stack(graphs: Sequence[SceneGraph], capacity: Capacity) -> PackedGraph:
     """Pads host graphs to one capacity and stacks them along a new first axis, on the device."""
     padded = [pad(graph, capacity) for graph in graphs]
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *padded)
@@ -106,17 +129,37 @@ def part_of_adjacency(graph: SceneGraph) -> Bool[Array, "N N"]:
     return empty.at[graph.receivers, graph.senders].max(chosen)
 
 
+def masked(
+    graph: SceneGraph, nodes: Bool[Array, " N"], edges: Bool[Array, " E"]
+) -> SceneGraph:
+    """Returns a padded graph with other masks: no longer packed, its slots may have holes."""
+
+    def counts(mask: Bool[Array, " K"]) -> Int[Array, "2"]:
+        count = jnp.sum(mask, dtype=jnp.int32)
+        return jnp.stack([count, mask.shape[0] - count])
+
+    return SceneGraph(
+        nodes=graph.nodes._replace(mask=nodes, observed=graph.nodes.observed & nodes),
+        edges=graph.edges._replace(mask=edges),
+        senders=graph.senders,
+        receivers=graph.receivers,
+        n_node=counts(nodes),
+        n_edge=counts(edges),
+        globals=graph.globals,
+    )
+
+
 def without_proximity(graph: SceneGraph) -> SceneGraph:
     """Masks the proximity edges out: the final step of growing (paper, Sec. "Generating 3DSGs")."""
     part_of = graph.edges.mask & (graph.edges.relation == PART_OF)
-    return graph._replace(edges=graph.edges._replace(mask=part_of))
+    return masked(graph, graph.nodes.mask, part_of)
 
 
-def append_block(graph: SceneGraph, block: Block) -> tuple[SceneGraph, Bool[Array, ""]]:
-    """Appends a block behind the real nodes of a padded graph.
+def append_block(graph: PackedGraph, block: Block) -> tuple[PackedGraph, Bool[Array, ""]]:
+    """Appends a block behind the real nodes of a packed graph.
 
     Args:
-      graph: padded; real nodes in the first slots, real edges likewise.
+      graph: packed: in one with holes, the next slots are not free. `pack` closes them.
       block: `M` new nodes; real ones first. Only edges between real nodes are appended.
 
     Returns:
@@ -125,17 +168,17 @@ def append_block(graph: SceneGraph, block: Block) -> tuple[SceneGraph, Bool[Arra
 
     Source: paper, Sec. "FLAGG for graph extension" (merging a block with G_{t-1}).
     """
+    if not isinstance(graph, PackedGraph):
+        raise TypeError("only a PackedGraph can be appended to: `pack` makes one of a padded graph")
     nodes, edges = graph.nodes, graph.edges
     num_block, capacity, edge_capacity = (x.mask.shape[0] for x in (block, nodes, edges))
     num_old, num_old_edges = graph.n_node[0], graph.n_edge[0]
     num_new = jnp.sum(block.mask, dtype=jnp.int32)
     slots = jnp.where(block.mask, num_old + jnp.arange(num_block), capacity)  # dropped if beyond
 
-    nodes = Nodes(
+    nodes = nodes._replace(  # what is drawn has no features and is not observed: zero, as padding
         label=nodes.label.at[slots].set(block.label, mode="drop"),
         position=nodes.position.at[slots].set(block.position, mode="drop"),
-        normal=nodes.normal,
-        width=nodes.width,
         mask=nodes.mask.at[slots].set(True, mode="drop"),
     )
 
@@ -152,14 +195,13 @@ def append_block(graph: SceneGraph, block: Block) -> tuple[SceneGraph, Bool[Arra
         return array.at[backward].set(at_backward, mode="drop")
 
     total, total_edges = num_old + num_new, num_old_edges + 2 * count
-    grown = SceneGraph(
+    grown = graph._replace(
         nodes=nodes,
         edges=Edges(put(edges.relation, PART_OF, PART_OF), put(edges.mask, True, True)),
         senders=put(graph.senders, new, old),
         receivers=put(graph.receivers, old, new),
         n_node=jnp.stack([total, capacity - total]),
         n_edge=jnp.stack([total_edges, edge_capacity - total_edges]),
-        globals=None,
     )
     return grown, (total <= capacity) & (total_edges <= edge_capacity)
 
@@ -176,7 +218,19 @@ def _new_pairs(
     return block.edges & once & real[None, :] & block.mask[:, None], tokens
 
 
-def centre_of_planes(graph: SceneGraph) -> Float[np.ndarray, "3"]:
-    """Returns the mean plane centroid of a host graph, metres: the origin float32 likes best."""
-    planes = np.asarray(graph.nodes.mask) & (np.asarray(graph.nodes.label) == PLANE)
-    return np.asarray(graph.nodes.position, np.float64)[planes].mean(axis=0)
+def centre_of_observed(graph: SceneGraph) -> Float[np.ndarray, "3"]:
+    """Returns the mean observed centroid of a host graph, metres; zero if nothing is observed.
+
+    It is the origin that float32 likes best.
+    """
+    observed = np.asarray(graph.nodes.observed)
+    position = np.asarray(graph.nodes.position, np.float64)[observed]
+    return position.mean(axis=0) if len(position) else np.zeros(3)
+
+
+def moved_by(graph: SceneGraph, offset: Float[np.ndarray, "3"]) -> SceneGraph:
+    """Shifts the real nodes of a host graph, metres; padding stays zero."""
+    nodes = graph.nodes
+    shift = np.where(np.asarray(nodes.mask)[:, None], offset[None], 0.0)
+    position = np.asarray(nodes.position, np.float64) + shift
+    return graph._replace(nodes=nodes._replace(position=position))

@@ -8,20 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from sg3d_jax.scene.concepts import (
-    CONCEPTS,
-    NUM_CONCEPTS,
-    NUM_RELATIONS,
-    PART_OF,
-    PART_OF_RULES,
-    PLANE,
-    RELATIONS,
-)
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.graph import FEATURES, SceneGraph, ontology_of
+from sg3d_jax.scene.ontology import NUM_RELATIONS, PART_OF, RELATIONS
 
 GRAPH_UNIT_TOLERANCE: Final = 1e-3
-PLANE_UNIT_TOLERANCE: Final = 1e-2  # users round their normals to two decimals
+INTAKE_UNIT_TOLERANCE: Final = 1e-2  # users round their normals to two decimals
 MAX_TILT: Final = 0.05  # |z| of a unit normal, about 3 degrees from vertical planes
+LEAST_OBSERVED: Final = 2
 DUPLICATE_DECIMALS: Final = 6  # micrometres
 MAX_MEDIAN_WIDTH: Final = 100.0  # metres; a median wall of 100 m is 10 cm in millimetres
 MAX_EXTENT: Final = 2000.0  # metres
@@ -33,8 +26,9 @@ def validate_graph(graph: SceneGraph, where: str, rules: bool = True) -> None:
     Args:
       graph: unpadded numpy graph, metres.
       where: what the sentence starts with, such as "scenes.npz: graph 3".
-      rules: whether edges must respect the hierarchy (`PART_OF_RULES`; proximity between planes
-        only). A generated graph may break it and is still to be drawn and scored.
+      rules: whether edges must respect the hierarchy: the rules of the ontology, and proximity
+        between observed nodes only. A generated graph may break it and is still to be drawn and
+        scored.
 
     Raises:
       ValueError: one sentence that names the field and what was expected.
@@ -46,36 +40,62 @@ def validate_graph(graph: SceneGraph, where: str, rules: bool = True) -> None:
         _check_rules(graph, where)
 
 
-def validate_planes(
-    position: np.ndarray, normal: np.ndarray, width: np.ndarray, where: str
-) -> None:
-    """Refuses planes that no scene graph can be grown from.
+def checked_observed(graph: SceneGraph, where: str) -> SceneGraph:
+    """Returns a host graph whose observed nodes a scene graph can be grown from, or refuses it.
+
+    The one check of what is observed, for every reader and for `complete`. A normal that is off
+    unit length by as much as rounding to two decimals makes it is brought to it; one that is right
+    stays as it is, bit for bit.
 
     Args:
-      position: float[n, 3], centroids, metres.
-      normal: float[n, 3], unit and horizontal.
-      width: float[n], metres.
+      graph: unpadded; what is not observed is not looked at.
       where: what the sentence starts with, such as "planes.jsonl: scene 3".
 
     Raises:
-      ValueError: one sentence that names the plane, the field and what was expected.
+      ValueError: one sentence that names the plane (counted among the observed nodes of its
+        concept), the field and what was expected.
     """
-    planes = {"centroid": position, "normal": normal, "width": width}
-    _check_shape(where, "centroid", position, (len(width), 3))
-    _check_shape(where, "normal", normal, (len(width), 3))
-    _check_shape(where, "width", width, (len(width),))
-    if len(width) < 2:
-        held = "one plane" if len(width) else "no planes"
-        raise ValueError(f"{where}: planes holds {held}, expected at least two to make a room of")
-    for name, values in planes.items():
-        finite = np.isfinite(values)
-        _refuse(where, "planes", name, values, ~finite, "finite numbers")
-    _refuse(where, "planes", "normal", normal, ~_is_unit(normal, PLANE_UNIT_TOLERANCE), "length 1")
-    tilted = np.abs(normal[:, 2]) > MAX_TILT
-    _refuse(where, "planes", "normal", normal, tilted, f"|z| <= {MAX_TILT}, as of vertical planes")
-    _refuse(where, "planes", "width", width, width <= 0, "more than zero metres")
-    _check_metres(position, width, where)
-    _check_duplicates(np.column_stack([position, normal, width]), where)
+    _check_shapes(graph, where)
+    ontology, nodes = ontology_of(graph), graph.nodes
+    label, position = np.asarray(nodes.label), np.asarray(nodes.position)
+    _refuse(where, "nodes", "label", label, ~_is_known(graph), _known_labels(graph))
+    kinds = [kind for kind in range(ontology.num_concepts) if ontology.is_observed[kind]]
+    observed = np.isin(label, kinds)
+    if observed.sum() < LEAST_OBSERVED:
+        plural = ontology.concepts[kinds[0]].layer.lower()
+        held = f"one {ontology.names[kinds[0]]}" if observed.any() else f"no {plural}"
+        raise ValueError(f"{where}: {plural} holds {held}, expected at least two to group")
+    for kind in kinds:
+        concept, rows = ontology.concepts[kind], label == kind
+        _check_intake(graph, rows, concept.features, where, concept.layer.lower())
+    _check_metres(position[observed], np.asarray(nodes.width)[observed], where)
+    length = np.linalg.norm(nodes.normal, axis=-1, keepdims=True)
+    off = (length > 0) & (np.abs(length - 1) > GRAPH_UNIT_TOLERANCE)
+    normal = np.where(off, nodes.normal / np.where(off, length, 1.0), nodes.normal)
+    return graph._replace(nodes=nodes._replace(normal=normal)) if off.any() else graph
+
+
+def _check_intake(
+    graph: SceneGraph, rows: np.ndarray, features: tuple[str, ...], where: str, plural: str
+) -> None:
+    """Refuses observed nodes of one concept that are nowhere, lean, or have no extent."""
+    columns = {"centroid": graph.nodes.position} | {
+        name: getattr(graph.nodes, name) for name in features
+    }
+    columns = {name: np.asarray(column)[rows] for name, column in columns.items()}
+    for name, values in columns.items():
+        _refuse(where, plural, name, values, ~np.isfinite(values), "finite numbers")
+    if "normal" in features:
+        normal = columns["normal"]
+        skewed = ~_is_unit(normal, INTAKE_UNIT_TOLERANCE)
+        _refuse(where, plural, "normal", normal, skewed, "length 1")
+        tilted = np.abs(normal[:, 2]) > MAX_TILT
+        expected = f"|z| <= {MAX_TILT}, as of vertical planes"
+        _refuse(where, plural, "normal", normal, tilted, expected)
+    if "width" in features:
+        width = columns["width"]
+        _refuse(where, plural, "width", width, width <= 0, "more than zero metres")
+    _check_duplicates(np.column_stack([*columns.values()]), where, plural)
 
 
 def _check_shape(where: str, name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
@@ -87,9 +107,9 @@ def _check_shape(where: str, name: str, array: np.ndarray, expected: tuple[int, 
 def _check_shapes(graph: SceneGraph, where: str) -> None:
     nodes, edges = graph.nodes, graph.edges
     num_nodes, num_edges = np.size(nodes.label), np.size(graph.senders)
-    vectors = ("position", "normal")
+    rows = {"position": (3,), **FEATURES}
     for name, array in nodes._asdict().items():
-        _check_shape(where, name, array, (num_nodes, 3) if name in vectors else (num_nodes,))
+        _check_shape(where, name, array, (num_nodes, *rows.get(name, ())))
     pairs = {"senders": graph.senders, "receivers": graph.receivers, **edges._asdict()}
     for name, array in pairs.items():
         _check_shape(where, name, array, (num_edges,))
@@ -105,20 +125,35 @@ def _check_shapes(graph: SceneGraph, where: str) -> None:
 
 
 def _check_nodes(graph: SceneGraph, where: str) -> None:
-    label, position, normal, width, _ = (np.asarray(field) for field in graph.nodes)
+    nodes, ontology = graph.nodes, ontology_of(graph)
+    label = np.asarray(nodes.label)
     if not len(label):
         raise ValueError(f"{where}: nodes is empty, expected at least one")
-    known = (label >= 0) & (label < NUM_CONCEPTS)
-    _refuse(where, "nodes", "label", label, ~known, f"0 to {NUM_CONCEPTS - 1}")
-    for name, values in (("position", position), ("normal", normal), ("width", width)):
+    _refuse(where, "nodes", "label", label, ~_is_known(graph), _known_labels(graph))
+    for name in ("position", *FEATURES):
+        values = np.asarray(getattr(nodes, name))
         _refuse(where, "nodes", name, values, ~np.isfinite(values), "finite numbers")
-    plane = label == PLANE
-    skewed = plane & ~_is_unit(normal, GRAPH_UNIT_TOLERANCE)
-    _refuse(where, "nodes", "normal", normal, skewed, "length 1, as of a plane")
-    _refuse(where, "nodes", "width", width, plane & (width < 0), "zero metres or more")
-    expected = "zero: only planes have one"
-    _refuse(where, "nodes", "normal", normal, ~plane & normal.any(axis=-1), expected)
-    _refuse(where, "nodes", "width", width, ~plane & (width != 0), expected)
+    facing, wide = (ontology.has(name)[label] for name in ("normal", "width"))
+    normal, width = np.asarray(nodes.normal), np.asarray(nodes.width)
+    skewed = facing & ~_is_unit(normal, GRAPH_UNIT_TOLERANCE)
+    _refuse(where, "nodes", "normal", normal, skewed, "length 1")
+    _refuse(where, "nodes", "width", width, wide & (width < 0), "zero metres or more")
+    for name in FEATURES:
+        values, having = np.asarray(getattr(nodes, name)), ontology.has(name)
+        owners = " and ".join(c.layer.lower() for c in ontology.concepts if name in c.features)
+        astray = ~having[label] & (values.reshape(len(label), -1) != 0).any(axis=-1)
+        _refuse(where, "nodes", name, values, astray, f"zero: only {owners or 'others'} have one")
+    wrong = np.asarray(nodes.observed) != ontology.is_observed[label]
+    _refuse(where, "nodes", "observed", np.asarray(nodes.observed), wrong, "what its label says")
+
+
+def _is_known(graph: SceneGraph) -> np.ndarray:
+    label = np.asarray(graph.nodes.label)
+    return (label >= 0) & (label < ontology_of(graph).num_concepts)
+
+
+def _known_labels(graph: SceneGraph) -> str:
+    return f"0 to {ontology_of(graph).num_concepts - 1}"
 
 
 def _check_edges(graph: SceneGraph, where: str) -> None:
@@ -140,16 +175,15 @@ def _check_edges(graph: SceneGraph, where: str) -> None:
 
 
 def _check_rules(graph: SceneGraph, where: str) -> None:
-    ends = np.stack([graph.senders, graph.receivers], axis=-1)
+    ontology, ends = ontology_of(graph), np.stack([graph.senders, graph.receivers], axis=-1)
     kinds = np.sort(np.asarray(graph.nodes.label)[ends], axis=-1)
     part_of = np.asarray(graph.edges.relation) == PART_OF
-    allowed = np.zeros((NUM_CONCEPTS, NUM_CONCEPTS), bool)
-    allowed[tuple(zip(*PART_OF_RULES, strict=True))] = True
-    wrong = np.where(part_of, ~allowed[kinds[:, 0], kinds[:, 1]], (kinds != PLANE).any(axis=-1))
+    allowed = ontology.may_be_part[kinds[:, 0], kinds[:, 1]]
+    wrong = np.where(part_of, ~allowed, ~ontology.is_observed[kinds].all(axis=-1))
     if wrong.any():
         edge = int(np.argmax(wrong))
-        low, high = (CONCEPTS[kind] for kind in kinds[edge])
-        expected = "a child and its parent" if part_of[edge] else "two planes"
+        low, high = (ontology.names[kind] for kind in kinds[edge])
+        expected = "a part and its whole" if part_of[edge] else "two that are observed"
         problem = f"joins {low} and {high} as {RELATIONS[int(part_of[edge])]}, expected {expected}"
         _refuse_edge(where, ends, wrong, problem)
 
@@ -157,7 +191,7 @@ def _check_rules(graph: SceneGraph, where: str) -> None:
 def _check_metres(position: np.ndarray, width: np.ndarray, where: str) -> None:
     with np.errstate(over="ignore"):
         extent = float(np.ptp(position, axis=0).max())
-    median = float(np.median(width))
+    median = float(np.median(width[width > 0])) if (width > 0).any() else 0.0
     if median > MAX_MEDIAN_WIDTH or extent > MAX_EXTENT:
         raise ValueError(
             f"{where}: planes spans {extent:.6g} with a median width of {median:.6g}, which looks "
@@ -165,14 +199,14 @@ def _check_metres(position: np.ndarray, width: np.ndarray, where: str) -> None:
         )
 
 
-def _check_duplicates(rows: np.ndarray, where: str) -> None:
+def _check_duplicates(rows: np.ndarray, where: str, plural: str) -> None:
     rounded = np.round(rows, DUPLICATE_DECIMALS) + 0.0  # + 0.0 makes -0.0 and 0.0 the same
     _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     original = first[group.reshape(-1)]
     repeats = np.flatnonzero(original != np.arange(len(rows)))
     if repeats.size:
         raise ValueError(
-            f"{where}: planes[{repeats[0]}] repeats planes[{original[repeats[0]]}], expected a "
+            f"{where}: {plural}[{repeats[0]}] repeats {plural}[{original[repeats[0]]}], expected a "
             "different centroid, normal or width"
         )
 

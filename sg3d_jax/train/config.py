@@ -7,7 +7,7 @@ from typing import Any
 
 from sg3d_jax.fill.fd4 import FD4Config
 from sg3d_jax.flagg.step import FlaggConfig
-from sg3d_jax.train.models import GROWING, METHODS, ModelConfig, method_of
+from sg3d_jax.train.methods import GROWING, METHODS, ModelConfig, method_of
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,12 +8,12 @@ import numpy as np
 
 from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
-from sg3d_jax.scene.concepts import CONCEPTS
+from sg3d_jax.scene.ontology import CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Capacity, stack
-from sg3d_jax.scene.proximity import connect_planes
+from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
-from sg3d_jax.train.models import METHODS
+from sg3d_jax.train.methods import METHODS
 
 EDGE_ROUNDING = 32
 
@@ -80,7 +80,7 @@ def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> li
         members = [graphs[i] for i in np.flatnonzero(bucket_of == bucket)]
         nodes = capacities[bucket]
         room = nodes * min(nodes, 20)  # more than any union of 10 nearest neighbours has used
-        connected = jax.jit(jax.vmap(connect_planes))(stack(members, Capacity(nodes, room)))
+        connected = jax.jit(jax.vmap(connect_observed))(stack(members, Capacity(nodes, room)))
         needed = int(jnp.max(connected.n_edge[:, 0]))
         stacks.append(_with_edge_slots(connected, -(-needed // EDGE_ROUNDING) * EDGE_ROUNDING))
     return stacks

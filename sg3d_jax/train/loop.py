@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sg3d_jax.interop.files import read_documents, replacing
+from sg3d_jax.io.files import read_documents, replacing
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import SceneGraph
@@ -21,7 +21,7 @@ from sg3d_jax.train import checkpoint
 from sg3d_jax.train.config import Config, check, to_json
 from sg3d_jax.train.dataset import load_split, stack_by_size
 from sg3d_jax.train.log import display, writers
-from sg3d_jax.train.models import (
+from sg3d_jax.train.methods import (
     Measured,
     Model,
     Params,

@@ -12,7 +12,7 @@ from sg3d_jax.baselines.rand import RandModel
 from sg3d_jax.data.registry import DATASETS
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train.config import Config, DataConfig
-from sg3d_jax.train.models import METHODS
+from sg3d_jax.train.methods import METHODS
 
 # Methods that are fitted in an instant: sized as the text of the paper says, and as its published
 # pictures and scores are.

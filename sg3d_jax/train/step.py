@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Key
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train import models
 from sg3d_jax.train.config import Config
-from sg3d_jax.train.models import Model, Params
+from sg3d_jax.train.methods import Model, Params
 
 
 class TrainState(NamedTuple):

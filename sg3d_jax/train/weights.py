@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sg3d_jax.interop.files import replacing
+from sg3d_jax.io.files import replacing
 from sg3d_jax.train.config import Config, from_dict, to_json
-from sg3d_jax.train.models import METHODS, Measured, Model, Params, build_model, with_sampling_steps
+from sg3d_jax.train.methods import METHODS, Measured, Model, Params, build_model, with_sampling_steps
 
 FORMAT = "sg3d_jax weights 2"
 

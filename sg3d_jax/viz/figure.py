@@ -18,8 +18,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from sg3d_jax.interop.files import replacing
-from sg3d_jax.scene.concepts import CONCEPTS, PART_OF, PLANE
+from sg3d_jax.io.files import replacing
+from sg3d_jax.scene.ontology import CONCEPTS, PART_OF, PLANE
 from sg3d_jax.scene.graph import SceneGraph, undirected_edges
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,

@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.interop.files import replacing
-from sg3d_jax.scene.concepts import CONCEPTS, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
+from sg3d_jax.io.files import replacing
+from sg3d_jax.scene.ontology import CONCEPTS, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
 from sg3d_jax.scene.graph import SceneGraph, undirected_edges
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,

@@ -23,9 +23,9 @@ from sg3d_jax.baselines.edge_classifier import (
 from sg3d_jax.baselines.edge_features import Scales, near_planes
 from sg3d_jax.data.synthetic import S_F, S_F_SQUARE, make_scene
 from sg3d_jax.metrics.structure import exact_structure
-from sg3d_jax.scene.concepts import BUILDING, FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
-from sg3d_jax.scene.graph import make_graph, planes_of, undirected_edges
-from sg3d_jax.scene.proximity import connect_planes
+from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.graph import make_graph, observed_of, undirected_edges
+from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import (
     NUM_PLANES,
@@ -47,7 +47,7 @@ CERTAIN = dataclasses.replace(L, dropout=0.0)
 MODELS = {config: make_edge_classifier(config, SCALES) for config in (SQUARE, L, CERTAIN)}
 KEY = functools.partial(jax.random.key, 3)
 either = pytest.mark.parametrize("config", [SQUARE, L])
-connected = jax.jit(connect_planes)
+connected = jax.jit(connect_observed)
 
 
 def lopsided():
@@ -111,7 +111,7 @@ def test_pairs_of_planes__share_the_rooms_and_walls_that_they_are_parts_of():
 def test_classification__sees_planes_and_their_proximity_alone(config):
     whole = by_pair(config, on_device(SCENE))
     near = undirected_edges(SCENE, PROXIMITY)
-    planes = make_graph(*planes_of(SCENE).nodes[:4], part_of=[], proximity=near)
+    planes = make_graph(*observed_of(SCENE).nodes[:4], part_of=[], proximity=near)
     np.testing.assert_allclose(whole, by_pair(config, on_device(planes)), atol=1e-4)
 
 
@@ -236,7 +236,7 @@ def truth_of(scene, capacity):
 
 def all_near(scene, tables, capacity):
     """Returns whether all planes that share a room or wall are joined by proximity."""
-    graph = connected(on_device(planes_of(scene), capacity))
+    graph = connected(on_device(observed_of(scene), capacity))
     near = np.zeros(tables.shape[1:], bool)
     near[graph.senders, graph.receivers] = graph.edges.mask
     return not (tables.any(axis=0) & ~near & ~np.eye(len(near), dtype=bool)).any()
@@ -249,7 +249,7 @@ def test_perfect_pairs__give_the_true_rooms_and_walls(config, drawn):
     model, sizes = oracle(config), []
     for index in range(12):
         scene = make_scene(drawn, 5, index)
-        capacity = ec._capacity(len(planes_of(scene).nodes.label))
+        capacity = ec._capacity(len(observed_of(scene).nodes.label))
         tables = truth_of(scene, capacity)
         if capacity.nodes <= 32 and all_near(scene, tables, capacity):
             [[found]] = complete(model, jnp.asarray(tables), [scene])
@@ -268,7 +268,7 @@ def test_perfect_pairs__give_the_true_rooms_and_walls(config, drawn):
 
 
 def first_planes(count):
-    planes = planes_of(SCENE)
+    planes = observed_of(SCENE)
     nodes = jax.tree.map(lambda field: field[:count], planes.nodes)
     return planes._replace(nodes=nodes, n_node=np.array([count], np.int32))
 
@@ -283,7 +283,7 @@ def test_planes__come_first_and_bit_for_bit_wherever_the_building_stands(config,
     scene = moved(SCENE, 0.3, offset)
     [[found]] = complete(MODELS[config], params_of(config), [scene])
     validate_graph(found.graph, "found")
-    for mine, given in zip(found.graph.nodes, planes_of(scene).nodes, strict=True):
+    for mine, given in zip(found.graph.nodes, observed_of(scene).nodes, strict=True):
         assert mine.dtype == given.dtype
         np.testing.assert_array_equal(mine[:NUM_PLANES], given)
     new = found.graph.nodes.label[NUM_PLANES:]
@@ -324,7 +324,7 @@ def test_networks__are_compiled_once_a_bucket():
     complete(model, {}, floors[::-1], seed=3)
     assert len(traced) == len(set(traced)) > 1
     for (one,), floor in zip(found, floors, strict=True):
-        assert same(one.graph.nodes, planes_of(floor).nodes)
+        assert same(one.graph.nodes, observed_of(floor).nodes)
 
 
 def test_regressed_rooms__stand_off_the_mean_of_their_planes():

@@ -16,8 +16,8 @@ from sg3d_jax.fill import midi
 from sg3d_jax.fill.midi import Frame, make_schedules
 from sg3d_jax.flagg.removal import one_shot_capacity, one_shot_cut
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PART_OF, PLANE
-from sg3d_jax.scene.graph import planes_of, undirected_edges
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE
+from sg3d_jax.scene.graph import observed_of, undirected_edges
 from sg3d_jax.scene.padding import unpad
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import (
@@ -71,7 +71,7 @@ def test_every_parameter__is_trained(params):
 @pytest.mark.parametrize("resamplings", [0, 2])
 def test_samples__have_the_planes_bit_for_bit_and_as_many_nodes_as_told(params, resamplings):
     model = make_midi_oracle(dataclasses.replace(SIZES, resamplings=resamplings), STATISTICS)
-    planes = on_device(planes_of(SCENE))
+    planes = on_device(observed_of(SCENE))
     for number in (1, NUM_NEW):
         grown = jax.jit(model.sample)(params, jax.random.key(2), planes, jnp.asarray(number))
         chex.assert_tree_all_finite(grown.graph)
@@ -101,7 +101,7 @@ def test_a_certain_network__gives_the_scene(monkeypatch, params):
 @pytest.mark.parametrize("time", [0, 120, 500])
 def test_inpainted_planes__are_the_truth_with_the_noise_of_their_time(time):
     signal = make_schedules(MiDiOracleConfig()).at(jnp.asarray(time))
-    planes, frame = on_device(planes_of(SCENE)), Frame(jnp.ones(3), jnp.float32(2.5))
+    planes, frame = on_device(observed_of(SCENE)), Frame(jnp.ones(3), jnp.float32(2.5))
 
     def position_of(key):
         return inpaint(key, planes, frame, signal).nodes.position[:NUM_PLANES]
@@ -147,7 +147,7 @@ def floor_alone(scene):
 
 def test_a_scene_without_anything_but_planes__is_refused(params):
     with pytest.raises(ValueError, match=r"^scene 1 has planes alone, expected a complete graph"):
-        complete(MODEL, params, [SCENE, planes_of(SCENE)])
+        complete(MODEL, params, [SCENE, observed_of(SCENE)])
 
 
 def test_the_room_for_new_nodes__is_enough_for_the_scene():

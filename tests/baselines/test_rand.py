@@ -5,8 +5,8 @@ import pytest
 
 from sg3d_jax.baselines.rand import FITTED_EDGE_PROBABILITY, complete, fit, fit_sized
 from sg3d_jax.data import registry
-from sg3d_jax.scene.concepts import PART_OF, PLANE, PROXIMITY, WALL
-from sg3d_jax.scene.graph import planes_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, WALL
+from sg3d_jax.scene.graph import observed_of, undirected_edges
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import two_rooms
 
@@ -31,7 +31,7 @@ def test_the_sized_variant_has_as_many_new_nodes_as_a_graph_has_in_all():
 def test_graphs_follow_the_counts(fitted):
     scenes = FLOORS * 20
     drawn = complete(fitted, scenes, seed=1)
-    num_planes = np.array([len(planes_of(scene).nodes.label) for scene in scenes])
+    num_planes = np.array([len(observed_of(scene).nodes.label) for scene in scenes])
     num_new = np.array([len(graph.nodes.label) for graph in drawn]) - num_planes
     error = fitted.num_nodes.std() / len(scenes) ** 0.5
     assert num_new.mean() == pytest.approx(fitted.num_nodes.mean(), abs=4 * error)
@@ -48,7 +48,7 @@ def test_no_edge_joins_two_planes_and_planes_are_as_they_came():
         pairs = undirected_edges(graph, PART_OF)
         assert not (graph.nodes.label[pairs] == PLANE).all(axis=1).any()
         assert len(undirected_edges(graph, PROXIMITY)) == 0
-        for one, other in zip(planes_of(graph).nodes, planes_of(scene).nodes, strict=True):
+        for one, other in zip(observed_of(graph).nodes, observed_of(scene).nodes, strict=True):
             np.testing.assert_array_equal(one, other)
 
 
@@ -61,4 +61,4 @@ def test_a_graph_depends_on_its_seed_and_its_place_only():
 
 def test_planes_alone_teach_nothing():
     with pytest.raises(ValueError, match="no training graph has a node beside its planes"):
-        fit([planes_of(FLOORS[0])])
+        fit([observed_of(FLOORS[0])])

@@ -17,7 +17,7 @@ from sg3d_jax.data.buildings import (
     place,
     turn,
 )
-from sg3d_jax.scene.concepts import BUILDING, CITY, FLOOR, PART_OF, PROXIMITY
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PART_OF, PROXIMITY
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.validate import validate_graph
 

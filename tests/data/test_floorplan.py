@@ -21,7 +21,7 @@ from sg3d_jax.data.floorplan import (
     storey_of_rooms,
     tidy_rooms,
 )
-from sg3d_jax.scene.concepts import FLOOR
+from sg3d_jax.scene.ontology import FLOOR
 from sg3d_jax.scene.validate import validate_graph
 
 REAL = Path(__file__).parents[3] / "shared" / "data" / "floorplans.jsonl.gz"

@@ -17,7 +17,7 @@ from sg3d_jax.data.levels import (
     num_nodes,
 )
 from sg3d_jax.data.splits import split_groups
-from sg3d_jax.scene.concepts import BUILDING, CITY, FLOOR, PLANE
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PLANE
 from sg3d_jax.scene.validate import validate_graph
 
 

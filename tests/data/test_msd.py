@@ -14,7 +14,7 @@ from shapely import affinity
 from sg3d_jax.data.buildings import Building, city_graph
 from sg3d_jax.data.levels import LEVELS
 from sg3d_jax.data.msd import read_floors
-from sg3d_jax.scene.concepts import FLOOR
+from sg3d_jax.scene.ontology import FLOOR
 from sg3d_jax.scene.validate import validate_graph
 
 # As the release has them, with the index that pandas leaves in front.

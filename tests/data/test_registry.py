@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sg3d_jax.data import registry, schema
-from sg3d_jax.data.formats import write_graphs
+from sg3d_jax.io.formats import write_graphs
 from sg3d_jax.data.splits import split_of
-from sg3d_jax.scene.concepts import CONCEPTS
+from sg3d_jax.scene.ontology import CONCEPTS
 from sg3d_jax.scene.validate import validate_graph
 
 GENERATED = [name for name, spec in registry.DATASETS.items() if spec.config is not None]

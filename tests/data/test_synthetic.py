@@ -28,7 +28,7 @@ from sg3d_jax.data.synthetic import (
     SyntheticConfig,
     make_scene,
 )
-from sg3d_jax.scene.concepts import (
+from sg3d_jax.scene.ontology import (
     BUILDING,
     CITY,
     CONCEPTS,
@@ -232,7 +232,7 @@ def storeys_of(graph: SceneGraph, building: int) -> list[int]:
     return floors[np.argsort(graph.nodes.position[floors, 2])].tolist()
 
 
-def planes_of(graph: SceneGraph, node: int) -> np.ndarray:
+def observed_of(graph: SceneGraph, node: int) -> np.ndarray:
     """Returns the planes of a floor or building."""
     parent, planes = parents(graph), np.flatnonzero(graph.nodes.label == PLANE)
     over = parent[parent[planes]]
@@ -271,7 +271,7 @@ def test_building_and_city_nodes_are_above_the_middle_of_what_they_consist_of(co
 def test_buildings_of_a_city_keep_clear_of_each_other(config, index):
     graph = make_scene(config, 0, index)
     boxes = [
-        graph.nodes.position[planes_of(graph, node), :2]
+        graph.nodes.position[observed_of(graph, node), :2]
         for node in np.flatnonzero(graph.nodes.label == BUILDING)
     ]
     for one, other in itertools.combinations(boxes, 2):
@@ -286,14 +286,14 @@ def test_storeys_of_the_base_building_are_alike_before_rooms_merge(index):
     graph = make_scene(unmerged, 0, index)
     position = graph.nodes.position
     ground, upper = (
-        position[planes_of(graph, floor)] for floor in storeys_of(graph, len(position) - 1)
+        position[observed_of(graph, floor)] for floor in storeys_of(graph, len(position) - 1)
     )
     np.testing.assert_array_equal(upper - ground, np.full_like(ground, 3) * [0, 0, 1])
 
 
 def test_storeys_of_one_building_merge_differently():
     num_planes = [
-        [len(planes_of(graph, floor)) for floor in storeys_of(graph, len(graph.nodes.label) - 1)]
+        [len(observed_of(graph, floor)) for floor in storeys_of(graph, len(graph.nodes.label) - 1)]
         for graph in (make_scene(S_B, 0, index) for index in range(20))
     ]
     assert any(ground != upper for ground, upper in num_planes)
@@ -320,7 +320,7 @@ def test_proximity_of_a_building_is_that_of_its_planes_before_rooms_merge():
 def test_planes_of_a_further_building_are_joined_to_all_of_their_room_and_wall(index):
     graph = make_scene(S_C, 0, index)
     joined = {tuple(pair) for pair in undirected_edges(graph, PROXIMITY).tolist()}
-    extra = set(planes_of(graph, len(graph.nodes.label) - 2).tolist())
+    extra = set(observed_of(graph, len(graph.nodes.label) - 2).tolist())
     for planes in children(graph, ROOM, PLANE) + children(graph, WALL, PLANE):
         if extra.issuperset(planes.tolist()):
             assert joined.issuperset(itertools.combinations(sorted(planes.tolist()), 2))
@@ -449,7 +449,7 @@ def city_features(graph: SceneGraph) -> dict[str, float]:
     """The same for what only cities have."""
     position = graph.nodes.position
     buildings = np.flatnonzero(graph.nodes.label == BUILDING)
-    base, extra = (planes_of(graph, node) for node in buildings)
+    base, extra = (observed_of(graph, node) for node in buildings)
     storeys = storeys_of(graph, buildings[1])
     one, other = position[base, :2], position[extra, :2]
     gap = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
@@ -465,7 +465,7 @@ def city_features(graph: SceneGraph) -> dict[str, float]:
         "angle of the extra building": np.round(
             np.arctan2(*graph.nodes.normal[extra[0], :2]) % (np.pi / 2), 4
         ),
-        "planes of the extra ground floor": len(planes_of(graph, storeys[0])),
+        "planes of the extra ground floor": len(observed_of(graph, storeys[0])),
         "floor off its rooms": np.round(np.linalg.norm(offset, axis=1).max(), 4),
         "proximity edges a plane": 2 * len(near) / (len(base) + len(extra)),
         "proximity edges between storeys": (np.diff(height, axis=1) != 0).sum() / len(near),

@@ -8,7 +8,7 @@ from sg3d_jax.fill import digress
 from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.nn.embed import Surface
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
-from sg3d_jax.scene.concepts import FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
 from sg3d_jax.scene.padding import Block
 from tests.two_rooms import NO_GATES
 

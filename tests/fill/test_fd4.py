@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sg3d_jax.fill.fd4 import FD4Config, make_fd4
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PLANE
 from tests.two_rooms import (
     CAPACITY,
     NUM_PLANES,

@@ -9,7 +9,7 @@ import pytest
 from sg3d_jax.fill import midi
 from sg3d_jax.fill.midi import Frame, MiDiConfig, State, make_midi, make_schedules
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PLANE
 from tests.two_rooms import (
     CAPACITY,
     NUM_PLANES,

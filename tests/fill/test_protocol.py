@@ -5,7 +5,7 @@ import pytest
 
 from sg3d_jax.fill.protocol import count_statistics, real_pairs
 from sg3d_jax.flagg.removal import Cut, draw_cut
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PLANE
 from tests.two_rooms import on_device, two_rooms
 
 NUM_BLOCK = 4

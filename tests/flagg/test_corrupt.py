@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
-from sg3d_jax.scene.concepts import NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
+from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.padding import part_of_adjacency
 from tests.two_rooms import CAPACITY, NUM_PLANES, PART_OF_PAIRS, on_device, two_rooms, with_garbage

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.flagg.ordering import insertion_rank
-from sg3d_jax.scene.concepts import CONCEPTS, FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import CONCEPTS, FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph
 from tests.two_rooms import CAPACITY, on_device
 

@@ -11,7 +11,7 @@ from sg3d_jax.flagg.removal import (
     one_shot_capacity,
     one_shot_cut,
 )
-from sg3d_jax.scene.concepts import PLANE, PROXIMITY, ROOM
+from sg3d_jax.scene.ontology import PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.padding import part_of_adjacency
 from tests.two_rooms import NUM_PLANES, on_device, two_rooms, with_garbage

@@ -11,9 +11,9 @@ from sg3d_jax.fill.protocol import Fill, Statistics
 from sg3d_jax.flagg import step
 from sg3d_jax.flagg.halt import halt_loss
 from sg3d_jax.flagg.insert import insert_loss
-from sg3d_jax.flagg.sample import RUNNING, grow_from_planes
-from sg3d_jax.scene.concepts import PLANE
-from sg3d_jax.scene.graph import planes_of
+from sg3d_jax.flagg.grow import RUNNING, grow_from_planes
+from sg3d_jax.scene.ontology import PLANE
+from sg3d_jax.scene.graph import observed_of
 from tests.two_rooms import NUM_PLANES, on_device, random_params, two_rooms
 
 SCENE = two_rooms()
@@ -124,7 +124,7 @@ def test_growing__with_an_untrained_model_leaves_the_planes_bit_for_bit():
     diffusion = {"diffusion_steps": 3, "topology_steps": 2, "distance_steps": 2}
     fill = make_fd4(FD4Config(**sizes, **layers, **diffusion), STATISTICS)
     model = step.make_flagg(step.FlaggConfig(coins=(1, 2), width=4, depth=1), fill)
-    planes = on_device(planes_of(SCENE))
+    planes = on_device(observed_of(SCENE))
 
     init = functools.partial(step.init, model, graph=on_device(SCENE))
     grow = jax.jit(functools.partial(grow_from_planes, model, max_steps=3))

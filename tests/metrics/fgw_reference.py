@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import shortest_path
 
-from sg3d_jax.scene.concepts import FLOOR, PART_OF, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.padding import Capacity, pad
 

@@ -11,7 +11,7 @@ from sg3d_jax.data import registry
 from sg3d_jax.metrics.fgw import FGW, PAIRS_PER_CALL, _fgw_stacked, fgw, fgw_pairs
 from sg3d_jax.metrics.fgw_problem import Scale, pose
 from sg3d_jax.metrics.frank_wolfe import from_assignment, minimise
-from sg3d_jax.scene.concepts import PLANE, ROOM
+from sg3d_jax.scene.ontology import PLANE, ROOM
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import Capacity, pad, stack
 from tests.metrics.fgw_reference import (

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from sg3d_jax.metrics.fgw import fgw
 from sg3d_jax.metrics.fgw_loss import fgw_loss
 from sg3d_jax.metrics.fgw_problem import one_hot
-from sg3d_jax.scene.concepts import PLANE
+from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.padding import stack
 from tests.metrics.fgw_reference import CAPACITY, on_device, random_pairs

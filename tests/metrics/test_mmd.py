@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sg3d_jax.metrics.gin import gin_embedding, init_gin
 from sg3d_jax.metrics.mmd import embedding_mmd, histogram_mmd, mmd_scores
-from sg3d_jax.scene.concepts import PART_OF, PLANE, ROOM
+from sg3d_jax.scene.ontology import PART_OF, PLANE, ROOM
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.padding import Capacity, pad
 

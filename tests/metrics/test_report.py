@@ -7,7 +7,7 @@ from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.mmd import mmd_scores
 from sg3d_jax.metrics.paper import SCORES
 from sg3d_jax.metrics.report import score, summary
-from sg3d_jax.scene.concepts import FLOOR, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph
 from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS, two_rooms
 

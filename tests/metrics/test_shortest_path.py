@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.metrics.shortest_path import hop_distances, part_of_hops
-from sg3d_jax.scene.concepts import FLOOR, PLANE, ROOM
+from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.padding import Capacity, pad
 

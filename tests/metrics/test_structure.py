@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.metrics.structure import exact_structure, failures, node_count_error
-from sg3d_jax.scene.concepts import BUILDING, FLOOR, PART_OF, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 
 # Two rooms of three planes each, a wall between planes 2 and 3, one floor.

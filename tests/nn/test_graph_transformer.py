@@ -18,7 +18,7 @@ from sg3d_jax.nn.graph_transformer import (
     linked_centre,
     propagate,
 )
-from sg3d_jax.scene.concepts import FLOOR, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, ROOM, WALL
 from sg3d_jax.scene.proximity import connect_kin
 from tests.two_rooms import (
     CAPACITY,

@@ -9,7 +9,7 @@ import pytest
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import OldGraphEncoder
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer, linked_mean
-from sg3d_jax.scene.concepts import FLOOR, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, ROOM, WALL
 from tests.two_rooms import (
     CAPACITY,
     TWICE,

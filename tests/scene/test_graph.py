@@ -1,8 +1,8 @@
 import numpy as np
 import numpy.testing as npt
 
-from sg3d_jax.scene.concepts import PART_OF, PART_OF_RULES, PLANE, PROXIMITY, ROOM
-from sg3d_jax.scene.graph import make_graph, planes_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PART_OF_RULES, PLANE, PROXIMITY, ROOM
+from sg3d_jax.scene.graph import make_graph, observed_of, undirected_edges
 
 
 def small_graph():
@@ -42,7 +42,7 @@ def test_undirected_edges_leaves_masked_edges_out():
 
 
 def test_planes_of_keeps_planes_exactly_and_nothing_else():
-    planes = planes_of(small_graph())
+    planes = observed_of(small_graph())
     npt.assert_array_equal(planes.nodes.position, [[0, 0, 0], [1, 0, 0]])
     npt.assert_array_equal(planes.nodes.width, [2, 3])
     npt.assert_array_equal(planes.nodes.label, [PLANE, PLANE])

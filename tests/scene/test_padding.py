@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sg3d_jax.scene.concepts import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph, undirected_edges
 from sg3d_jax.scene.padding import (
     EDGES_PER_NODE,
@@ -18,7 +18,7 @@ from sg3d_jax.scene.padding import (
     Capacity,
     append_block,
     bucket,
-    centre_of_planes,
+    centre_of_observed,
     pad,
     part_of_adjacency,
     stack,
@@ -215,8 +215,8 @@ def test_dropping_proximity_keeps_part_of_edges():
     npt.assert_array_equal(undirected_edges(kept, PART_OF), undirected_edges(graph, PART_OF))
 
 
-def test_centre_of_planes_ignores_other_nodes():
+def test_centre_of_observed_ignores_other_nodes():
     graph = make_graph(
         [PLANE, ROOM, PLANE], [[0, 0, 0], [9, 9, 9], [2, 4, 6]], np.zeros((3, 3)), np.ones(3), []
     )
-    npt.assert_array_equal(centre_of_planes(graph), [1, 2, 3])
+    npt.assert_array_equal(centre_of_observed(graph), [1, 2, 3])

@@ -6,10 +6,10 @@ import numpy.testing as npt
 import pytest
 from scipy.spatial import cKDTree
 
-from sg3d_jax.scene.concepts import BUILDING, FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph, undirected_edges
 from sg3d_jax.scene.padding import Capacity, pad, stack
-from sg3d_jax.scene.proximity import connect_kin, connect_planes, nearest_neighbours
+from sg3d_jax.scene.proximity import connect_kin, connect_observed, nearest_neighbours
 
 CAPACITY = Capacity(64, 1024)
 
@@ -32,7 +32,7 @@ def scattered_planes(num_planes, seed=0, num_rooms=0):
 
 
 neighbours = jax.jit(nearest_neighbours, static_argnames="k")
-connect = jax.jit(connect_planes, static_argnames="k")
+connect = jax.jit(connect_observed, static_argnames="k")
 
 
 def on_device(graph, capacity):
@@ -114,7 +114,7 @@ def test_capacity_does_not_matter():
 
 def test_batch_agrees_with_loop_and_compiles_once():
     graphs = [scattered_planes(size, seed=size, num_rooms=2) for size in (2, 9, 14, 30)]
-    connect_all = jax.jit(jax.vmap(chex.assert_max_traces(connect_planes, n=1)))
+    connect_all = jax.jit(jax.vmap(chex.assert_max_traces(connect_observed, n=1)))
     batch = connect_all(stack(graphs, CAPACITY))
     for index, graph in enumerate(graphs):
         one = jax.tree.map(lambda leaf, index=index: leaf[index], batch)

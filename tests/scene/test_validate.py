@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sg3d_jax.scene.concepts import FLOOR, PART_OF, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.padding import Capacity, pad
 from sg3d_jax.scene.validate import validate_graph, validate_planes

@@ -6,10 +6,10 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import registry, schema
-from sg3d_jax.scene.concepts import PART_OF, PROXIMITY
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 from sg3d_jax.scene.graph import undirected_edges
 from sg3d_jax.scene.padding import Capacity, pad, unpad
-from sg3d_jax.scene.proximity import connect_planes
+from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split, stack_by_size
 
@@ -56,7 +56,7 @@ def test_every_graph_is_in_the_smallest_bucket_that_holds_it_once(floors, stacks
 def test_proximity_edges_are_those_of_the_graph_alone(floors, stacks):
     alone = {
         graph.nodes.position.astype(np.float32).tobytes(): undirected_edges(
-            connect_planes(jax.tree.map(jax.numpy.asarray, pad(graph, Capacity(64, 768)))),
+            connect_observed(jax.tree.map(jax.numpy.asarray, pad(graph, Capacity(64, 768)))),
             PROXIMITY,
         )
         for graph in floors[:3]

@@ -19,7 +19,7 @@ from sg3d_jax.train.loop import (
     train,
     validate,
 )
-from sg3d_jax.train.models import complete
+from sg3d_jax.train.methods import complete
 from sg3d_jax.train.step import init_state
 from sg3d_jax.train.weights import load_weights
 from tests.tiny_run import read_config, untrained_weights

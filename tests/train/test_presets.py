@@ -8,7 +8,7 @@ import pytest
 from sg3d_jax.data.registry import DATASETS
 from sg3d_jax.train import presets
 from sg3d_jax.train.config import Config, DataConfig, check
-from sg3d_jax.train.models import METHODS
+from sg3d_jax.train.methods import METHODS
 from sg3d_jax.train.presets import BASELINES, find_config, parse
 from sg3d_jax.train.weights import names
 from tests.tiny_run import CONFIGS, read_config

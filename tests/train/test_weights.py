@@ -9,7 +9,7 @@ import pytest
 
 from sg3d_jax.flagg.step import Params
 from sg3d_jax.train import weights
-from sg3d_jax.train.models import CLASSIFYING, GROWING, METHODS, build_model
+from sg3d_jax.train.methods import CLASSIFYING, GROWING, METHODS, build_model
 from sg3d_jax.train.weights import (
     load_weights,
     names,

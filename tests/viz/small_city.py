@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sg3d_jax.scene.concepts import BUILDING, CITY, FLOOR, PLANE, ROOM
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PLANE, ROOM
 from sg3d_jax.scene.graph import SceneGraph, make_graph
 
 NORMALS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)

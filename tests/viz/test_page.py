@@ -12,7 +12,7 @@ import numpy.testing as npt
 import plotly.graph_objects as go
 import pytest
 
-from sg3d_jax.scene.concepts import CONCEPTS, FLOOR, PLANE, ROOM
+from sg3d_jax.scene.ontology import CONCEPTS, FLOOR, PLANE, ROOM
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.viz.page import graph_traces, hover_text, save_page
 from sg3d_jax.viz.style import STYLES, lifted

@@ -1,7 +1,7 @@
 import numpy as np
 import numpy.testing as npt
 
-from sg3d_jax.scene.concepts import BUILDING, CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import BUILDING, CONCEPTS, PLANE
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.validate import validate_graph
 from sg3d_jax.viz.style import (

@@ -1,0 +1,291 @@
+"""Scene graphs as networkx graphs, and as the node-link documents that networkx reads and writes.
+
+Nodes have `concept`, `pos` and, if planes, `normal` and `width`; edges have `kind`, "part_of" or
+"proximity". Read, too, are the attributes of the authors' graphs: `type`, `center`, `normal`,
+`length`, `limits`, and edges that do not say what they are. Numbers survive exactly, and so does
+the order of the nodes.
+
+Source: the authors' graphs, as snt-arg/situational_graphs_datasets makes them.
+"""
+
+import math
+import reprlib
+from collections.abc import Hashable, Iterable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from sg3d_jax.io.files import number
+from sg3d_jax.scene.ontology import (
+    CONCEPTS,
+    PART_OF,
+    PART_OF_RULES,
+    PLANE,
+    PROXIMITY,
+    RELATIONS,
+)
+from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.validate import validate_graph
+
+if TYPE_CHECKING:
+    import networkx
+
+LABELS: Final[Mapping[str, int]] = MappingProxyType(
+    {name: label for label, name in enumerate(CONCEPTS)} | {"ws": PLANE}
+)
+LENGTH_TOLERANCE: Final = 1e-6  # metres
+
+
+def to_networkx(graph: SceneGraph) -> "networkx.Graph":
+    """Returns a host graph as a networkx graph.
+
+    Args:
+      graph: unpadded, metres.
+
+    Returns:
+      An undirected graph whose nodes are row numbers; `pos` and `normal` are lists.
+    """
+    import networkx
+
+    made = networkx.Graph()
+    made.add_nodes_from(enumerate(_nodes(graph)))
+    for kind, pairs in _edges(graph):
+        made.add_edges_from(pairs, kind=kind)
+    return made
+
+
+def from_networkx(graph: "networkx.Graph", where: str = "graph") -> SceneGraph:
+    """Returns the host graph of a networkx graph with our attributes or the authors'.
+
+    Args:
+      graph: nodes in the order that the rows are to have; positions in metres.
+      where: what an error starts with.
+
+    Raises:
+      ValueError: one sentence that names the node or edge, the field and what was expected.
+    """
+    if graph.is_multigraph():
+        raise ValueError(f"{where}: the graph is a multigraph, expected one edge a pair of nodes")
+    return graph_from_attributes(graph.nodes(data=True), graph.edges(data=True), where)
+
+
+def graph_to_node_link(graph: SceneGraph, **attributes: Any) -> dict[str, Any]:
+    """Returns a host graph as what `networkx.node_link_graph(document, edges="edges")` reads.
+
+    Args:
+      graph: unpadded, metres.
+      **attributes: of the graph, such as `halt_reason`; JSON values.
+
+    Returns:
+      A JSON document; node ids are row numbers.
+    """
+    edges = [
+        {"kind": kind, "source": source, "target": target}
+        for kind, pairs in _edges(graph)
+        for source, target in pairs
+    ]
+    nodes = [node | {"id": row} for row, node in enumerate(_nodes(graph))]
+    kind = {"directed": False, "multigraph": False}
+    return kind | {"graph": attributes, "nodes": nodes, "edges": edges}
+
+
+def graph_from_node_link(document: Any, where: str = "graph") -> SceneGraph:
+    """Returns the host graph of a node-link document; keys it does not know are ignored.
+
+    Args:
+      document: parsed JSON, not yet trusted; edges are under `edges` or, as networkx once did it,
+        `links`.
+      where: what an error starts with, such as "graphs.jsonl: line 3".
+
+    Raises:
+      ValueError: one sentence that names the node or edge, the field and what was expected.
+    """
+    if not isinstance(document, dict):
+        raise ValueError(f"{where}: there is {_text(document)}, expected an object")
+    if document.get("multigraph"):
+        raise ValueError(f"{where}: multigraph is true, expected one edge a pair of nodes")
+    links = "links" if "edges" not in document and "links" in document else "edges"
+    nodes = _objects(document, "nodes", ("id",), where)
+    edges = _objects(document, links, ("source", "target"), where)
+    return graph_from_attributes(
+        ((node["id"], node) for node in nodes),
+        ((edge["source"], edge["target"], edge) for edge in edges),
+        where,
+    )
+
+
+def graph_from_attributes(
+    nodes: Iterable[tuple[Any, Mapping[str, Any]]],
+    edges: Iterable[tuple[Any, Any, Mapping[str, Any]]],
+    where: str,
+) -> SceneGraph:
+    """Returns the host graph of nodes and edges with attributes, ours or the authors'.
+
+    Args:
+      nodes: id and attributes of each node, in the order that the rows are to have.
+      edges: ids of both ends and attributes of each edge, each pair once. An edge without `kind`
+        is told by its ends: two planes are near each other, a child is part of its parent.
+      where: what an error starts with.
+
+    Raises:
+      ValueError: one sentence that names the node or edge, the field and what was expected.
+    """
+    row_of_id: dict[Any, int] = {}
+    rows = []
+    for name, attributes in nodes:
+        if not isinstance(name, Hashable):
+            raise ValueError(f"{where}: a node has id {_text(name)}, expected a number or a name")
+        if row_of_id.setdefault(name, len(rows)) != len(rows):
+            raise ValueError(f"{where}: node {_text(name)} is there twice, expected unique ids")
+        rows.append(_row(attributes, f"{where}: node {_plain(name)!r:.40}"))
+    label, position, normal, width = zip(*rows, strict=True) if rows else ((), (), (), ())
+    pairs: tuple[list[list[int]], ...] = tuple([] for _ in RELATIONS)
+    for source, target, attributes in edges:
+        ends = [_end(row_of_id, end, where) for end in (source, target)]
+        edge = f"{where}: edge ({_plain(source)!r:.40}, {_plain(target)!r:.40})"
+        pairs[_relation(attributes, [label[end] for end in ends], edge)].append(ends)
+    graph = make_graph(
+        label,
+        np.asarray(position, np.float64),
+        np.asarray(normal, np.float64),
+        width,
+        part_of=np.asarray(pairs[PART_OF]),
+        proximity=np.asarray(pairs[PROXIMITY]),
+    )
+    validate_graph(graph, where, rules=False)
+    return graph
+
+
+def _nodes(graph: SceneGraph) -> list[dict[str, Any]]:
+    """Returns the attributes of each node."""
+    columns = (np.asarray(field).tolist() for field in graph.nodes[:4])
+    return [
+        {"concept": CONCEPTS[label], "pos": position}
+        | ({"normal": normal, "width": width} if label == PLANE else {})
+        for label, position, normal, width in zip(*columns, strict=True)
+    ]
+
+
+def _edges(graph: SceneGraph) -> list[tuple[str, list[list[int]]]]:
+    """Returns each kind of edges and the pairs of rows that they join."""
+    return [
+        (RELATIONS[relation], undirected_edges(graph, relation).tolist())
+        for relation in (PART_OF, PROXIMITY)
+    ]
+
+
+def _objects(
+    document: dict[str, Any], key: str, fields: tuple[str, ...], where: str
+) -> list[dict[str, Any]]:
+    """Returns a list of objects that all have some fields."""
+    items = document.get(key)
+    if not isinstance(items, list):
+        raise ValueError(f"{where}: there is no list {key!r}, expected nodes and edges")
+    for index, item in enumerate(items):
+        if not isinstance(item, dict) or not set(fields) <= set(item):
+            expected = " and ".join(fields)
+            raise ValueError(
+                f"{where}: {key}[{index}] is {_text(item)}, expected an object with {expected}"
+            )
+    return items
+
+
+def _row(attributes: Mapping[str, Any], where: str) -> tuple[int, list[float], list[float], float]:
+    """Returns label, position, normal and width of a node."""
+    ours = "concept" in attributes
+    field, names = "concept" if ours else "type", ", ".join(CONCEPTS)
+    if field not in attributes:
+        raise ValueError(f"{where} lacks both 'concept' and 'type', expected one of {names}")
+    concept = attributes[field]
+    if not isinstance(concept, str) or concept not in LABELS:
+        raise ValueError(f"{where}: {field} is {_text(concept)}, expected one of {names}")
+    position = _vector(attributes, "pos" if ours else "center", where)
+    if LABELS[concept] == PLANE:
+        width = _number(_get(attributes, "width", where), "width", where) if ours else None
+        width = _width(attributes, where) if width is None else width
+        return PLANE, position, _vector(attributes, "normal", where), width
+    for field in ("normal", "width") if ours else ():  # the authors' rooms and walls have some
+        if attributes.get(field) is not None:
+            held = _text(attributes[field])
+            raise ValueError(f"{where}: {field} is {held}, expected none: only planes have one")
+    return LABELS[concept], position, [0.0, 0.0, 0.0], 0.0
+
+
+def _width(attributes: Mapping[str, Any], where: str) -> float:
+    """Returns the width of one of the authors' planes: `length`, or how far its ends are apart.
+
+    A merged or copied plane keeps the length it had; that is the published width. Not so a length
+    that is missing or zero, or counts x only, as the authors' last step on recordings has it.
+    """
+    length, limits = attributes.get("length"), _points(attributes.get("limits"))
+    if limits is None:
+        return _number(_get(attributes, "length", where), "length", where)
+    first, last = ([_number(item, "limits", where) for item in point] for point in limits)
+    distance = math.dist(first, last)
+    if length is None:
+        return distance
+    length = _number(length, "length", where)
+    wrong = length == 0 or abs(length - abs(last[0] - first[0])) <= LENGTH_TOLERANCE
+    return distance if wrong and distance > length + LENGTH_TOLERANCE else length
+
+
+def _points(limits: Any) -> list[Any] | None:
+    """Returns two points of three coordinates, or None: some files state the ends otherwise."""
+    limits = _plain(limits)
+    if not isinstance(limits, (list, tuple)) or len(limits) != 2:
+        return None
+    points = [_plain(point) for point in limits]
+    fits = all(isinstance(point, (list, tuple)) and len(point) == 3 for point in points)
+    return points if fits else None
+
+
+def _get(attributes: Mapping[str, Any], field: str, where: str) -> Any:
+    if attributes.get(field) is None:
+        raise ValueError(f"{where} lacks {field!r}, expected every node to have it")
+    return attributes[field]
+
+
+def _vector(attributes: Mapping[str, Any], field: str, where: str) -> list[float]:
+    value = _plain(_get(attributes, field, where))
+    if not isinstance(value, (list, tuple)) or len(value) != 3:
+        raise ValueError(f"{where}: {field} is {_text(value)}, expected three numbers")
+    return [_number(item, field, where) for item in value]
+
+
+def _number(value: Any, field: str, where: str) -> float:
+    value = _plain(value)
+    if not isinstance(value, (int, float)):
+        raise ValueError(f"{where}: {field} is {_text(value)}, expected a number")
+    return number(value, f"{where}: {field}")
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+
+def _end(row_of_id: Mapping[Any, int], name: Any, where: str) -> int:
+    if not isinstance(name, Hashable) or name not in row_of_id:
+        raise ValueError(f"{where}: an edge names {_text(name)}, expected the id of a node")
+    return row_of_id[name]
+
+
+def _relation(attributes: Mapping[str, Any], labels: list[int], where: str) -> int:
+    kind = attributes.get("kind")
+    if kind is not None:
+        if kind not in RELATIONS:
+            names = " or ".join(RELATIONS)
+            raise ValueError(f"{where}: kind is {_text(kind)}, expected {names}")
+        return RELATIONS.index(kind)
+    low, high = sorted(labels)
+    if low == high == PLANE:
+        return PROXIMITY
+    if (low, high) in PART_OF_RULES:
+        return PART_OF
+    joined = f"joins {CONCEPTS[low]} and {CONCEPTS[high]}"
+    raise ValueError(f"{where} {joined}, expected two planes, or a child and its parent")
+
+
+def _text(value: Any) -> str:
+    """Returns how a value looks, shortened without looking at all of it: it may be endless."""
+    return f"{reprlib.repr(value):.40}"

@@ -1,0 +1,181 @@
+"""Scene graphs in a file: numpy's npz, version 1, never a pickle.
+
+The arrays of all graphs are concatenated; graph g owns nodes `node_offset[g]:node_offset[g + 1]`
+and edges `edge_offset[g]:edge_offset[g + 1]`. An edge is a pair of node indices of its own graph
+and stands for both directions. `header` is a JSON object: what the data are and how they were made.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from sg3d_jax.io.files import replacing
+from sg3d_jax.scene.ontology import NUM_RELATIONS, PART_OF, PROXIMITY
+from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.validate import validate_graph
+
+VERSION: Final = 1
+UNITS: Final = "metres"
+
+
+# Type and shape of one row of each array; `g` graphs, `n` nodes, `e` undirected edges.
+FIELDS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {
+    "node_offset": ("int64", ()),  # [g + 1]
+    "edge_offset": ("int64", ()),  # [g + 1]
+    "label": ("int32", ()),  # [n]
+    "position": ("float64", (3,)),  # [n, 3], metres
+    "normal": ("float64", (3,)),  # [n, 3]
+    "width": ("float64", ()),  # [n], metres
+    "edges": ("int32", (2,)),  # [e, 2]
+    "relation": ("int32", ()),  # [e]
+}
+NODE_FIELDS: Final = ("label", "position", "normal", "width")
+EDGE_FIELDS: Final = ("edges", "relation")
+
+Arrays = dict[str, np.ndarray]
+
+
+class Dataset(NamedTuple):
+    """Host graphs and what their file says about them."""
+
+    graphs: list[SceneGraph]
+    header: dict[str, Any]  # JSON values, such as name, source, seed, and parts (`splits.split_of`)
+
+
+def save(
+    path: str | Path,
+    graphs: Sequence[SceneGraph],
+    header: Mapping[str, Any],
+    rules: bool = True,
+) -> None:
+    """Writes host graphs to a file; the same graphs and header give the same bytes.
+
+    Args:
+      path: of the file; it is replaced whole or left as it was.
+      graphs: unpadded.
+      header: JSON values, such as name, source, generator settings and seed. Schema version
+        and units are added.
+      rules: whether edges must respect the hierarchy, as in `validate_graph`.
+
+    Raises:
+      ValueError: a graph is not sound, or the file cannot be written; nothing is written.
+    """
+    path = Path(path)
+    for index, graph in enumerate(graphs):
+        validate_graph(graph, f"{path}: graph {index}", rules)
+    about = {**header, "schema": VERSION, "units": UNITS}
+    arrays: dict[str, Any] = {"header": np.array(json.dumps(about)), **_concatenate(graphs)}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def load(path: str | Path, rules: bool = True) -> Dataset:
+    """Reads the graphs and the header of a file.
+
+    Args:
+      path: of a file that `save` wrote.
+      rules: whether edges must respect the hierarchy, as in `validate_graph`.
+
+    Returns:
+      Host graphs in float64, and the header.
+
+    Raises:
+      ValueError: one sentence that names the file and, where it applies, graph and field.
+    """
+    content = _read(Path(path))
+    header = _header(content, path)
+    arrays = _checked(content, path)
+    graphs = []
+    for index in range(len(arrays["node_offset"]) - 1):
+        where = f"{path}: graph {index}"
+        graph = _graph(arrays, index, where)
+        validate_graph(graph, where, rules)
+        graphs.append(graph)
+    return Dataset(graphs, header)
+
+
+def _concatenate(graphs: Sequence[SceneGraph]) -> Arrays:
+    """Returns the arrays of a file."""
+    kinds = (PROXIMITY, PART_OF)
+    pairs = [[undirected_edges(graph, kind) for kind in kinds] for graph in graphs]
+    counts = [[len(pair) for pair in of_graph] for of_graph in pairs]
+    parts = {name: [getattr(graph.nodes, name) for graph in graphs] for name in NODE_FIELDS}
+    parts["node_offset"] = [np.cumsum([0, *(len(label) for label in parts["label"])])]
+    parts["edge_offset"] = [np.cumsum([0, *map(sum, counts)])]
+    parts["edges"] = [pair for of_graph in pairs for pair in of_graph]
+    parts["relation"] = [np.repeat(kinds, of_graph) for of_graph in counts]
+    return {
+        name: np.concatenate([np.zeros((0, *row), dtype), *parts[name]]).astype(dtype)
+        for name, (dtype, row) in FIELDS.items()
+    }
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """Returns every array of an archive whose checksums are right."""
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            if damaged := archive.zip.testzip():
+                raise ValueError(f"the checksum of {damaged} is wrong")
+            return {name: archive[name] for name in archive.files}
+    except Exception as error:  # a damaged archive raises almost anything
+        raise ValueError(f"{path}: not an npz file of plain arrays, or a damaged one") from error
+
+
+def _header(content: Mapping[str, np.ndarray], path: str | Path) -> dict[str, Any]:
+    """Returns the header of a file of this version."""
+    try:
+        header = json.loads(str(content["header"]))
+        version, units = header["schema"], header["units"]
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        expected = "a JSON object with schema and units, as sg3d_jax writes it"
+        raise ValueError(f"{path}: header is missing or unreadable, expected {expected}") from error
+    for name, value, expected in (("schema", version, VERSION), ("units", units, UNITS)):
+        if value != expected:
+            raise ValueError(f"{path}: header has {name} {value!r}, expected {expected!r}")
+    return header
+
+
+def _checked(content: Mapping[str, np.ndarray], path: str | Path) -> Arrays:
+    """Returns the arrays of a file if their types and sizes fit together."""
+    for name, (dtype, row) in FIELDS.items():
+        if name not in content:
+            raise ValueError(f"{path}: array {name} is missing")
+        array = content[name]
+        if array.dtype != dtype or array.ndim != 1 + len(row) or array.shape[1:] != row:
+            sizes = ", ".join(["n", *map(str, row)])
+            held = f"{array.dtype}{list(array.shape)}"
+            raise ValueError(f"{path}: array {name} is {held}, expected {dtype}[{sizes}]")
+    arrays = {name: content[name] for name in FIELDS}
+    for offset, names in (("node_offset", NODE_FIELDS), ("edge_offset", EDGE_FIELDS)):
+        for name in names:
+            _check_offset(arrays[offset], len(arrays[name]), f"{path}: {offset}", name)
+    by_nodes, by_edges = len(arrays["node_offset"]) - 1, len(arrays["edge_offset"]) - 1
+    if by_nodes != by_edges:
+        raise ValueError(f"{path}: edge_offset is of {by_edges} graphs, node_offset of {by_nodes}")
+    return arrays
+
+
+def _check_offset(offset: np.ndarray, num_rows: int, where: str, name: str) -> None:
+    if not len(offset) or offset[0] != 0 or offset[-1] != num_rows or (np.diff(offset) < 0).any():
+        raise ValueError(f"{where} does not rise from 0 to {num_rows}, the length of {name}")
+
+
+def _graph(arrays: Arrays, index: int, where: str) -> SceneGraph:
+    """Returns one graph of a file; what its values mean is not checked yet, save the relations."""
+    nodes = slice(*arrays["node_offset"][index : index + 2])
+    edges = slice(*arrays["edge_offset"][index : index + 2])
+    pairs, relation = arrays["edges"][edges], arrays["relation"][edges]
+    unknown = (relation < 0) | (relation >= NUM_RELATIONS)
+    if unknown.any():
+        held = f"relation {relation[unknown][0]}, expected 0 to {NUM_RELATIONS - 1}"
+        raise ValueError(f"{where}: edge {pairs[unknown][0].tolist()} has {held}")
+    return make_graph(
+        *(arrays[name][nodes] for name in NODE_FIELDS),
+        part_of=pairs[relation == PART_OF],
+        proximity=pairs[relation == PROXIMITY],
+    )

@@ -1,0 +1,178 @@
+"""Graphs in every format: nothing is lost, and what is no graph is refused."""
+
+import json
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sg3d_jax.data import registry
+from sg3d_jax.io.formats import FORMATS, read_graphs, read_planes, write_graphs
+from sg3d_jax.io.s_graphs import planes_to_message
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
+from sg3d_jax.scene.graph import observed_of, undirected_edges
+from sg3d_jax.scene.validate import validate_graph
+
+NUM_GRAPHS = 60  # benchmarks/round_trips.py takes 500
+SUFFIX = {"graphml": ".graphml", "npz": ".npz"}  # of a file with one graph; .json for the others
+
+
+@pytest.fixture(scope="module")
+def graphs():
+    """Floors without and cities with proximity edges."""
+    cities = NUM_GRAPHS // 6
+    return registry.make("s-f", NUM_GRAPHS - cities) + registry.make("s-c", cities)
+
+
+def assert_same(graph, expected):
+    for one, other in zip(graph.nodes, expected.nodes, strict=True):
+        assert one.dtype == other.dtype
+        npt.assert_array_equal(one, other, strict=True)
+    for relation in (PART_OF, PROXIMITY):
+        npt.assert_array_equal(
+            undirected_edges(graph, relation), undirected_edges(expected, relation)
+        )
+
+
+@pytest.mark.parametrize("to", ["json", "networkx", "spark-dsg"])
+def test_graphs_survive_json_lines(graphs, to, tmp_path):
+    write_graphs(tmp_path / "graphs.jsonl", graphs, to)
+    read = read_graphs(tmp_path / "graphs.jsonl")
+    assert len(read) == NUM_GRAPHS
+    for graph, expected in zip(read, graphs, strict=True):
+        assert_same(graph, expected)
+
+
+def test_graphs_survive_spark_dsg_with_walls_as_metadata(graphs, tmp_path):
+    write_graphs(tmp_path / "graphs.jsonl", graphs, "spark-dsg", walls="metadata")
+    for graph, expected in zip(read_graphs(tmp_path / "graphs.jsonl"), graphs, strict=True):
+        assert_same(graph, expected)
+
+
+def test_graphs_survive_npz(graphs, tmp_path):
+    write_graphs(tmp_path / "graphs.npz", graphs, "npz")
+    for graph, expected in zip(read_graphs(tmp_path / "graphs.npz"), graphs, strict=True):
+        assert_same(graph, expected)
+
+
+def test_graphs_survive_graphml(graphs, tmp_path):
+    for expected in graphs:
+        write_graphs(tmp_path / "graph.graphml", [expected], "graphml")
+        (graph,) = read_graphs(tmp_path / "graph.graphml")
+        assert_same(graph, expected)
+
+
+@pytest.mark.parametrize(
+    ("to", "place"), [("json", None), ("networkx", "graph"), ("spark-dsg", "metadata")]
+)
+def test_one_graph_has_a_file_of_its_own_and_keeps_what_else_is_said(graphs, to, place, tmp_path):
+    path = tmp_path / "graph.JSON"
+    write_graphs(path, graphs[:1], to, [{"halt_reason": "HALTED"}])
+    document = json.loads(path.read_text())
+    assert (document[place] if place else document)["halt_reason"] == "HALTED"
+    (graph,) = read_graphs(path)
+    assert_same(graph, graphs[0])
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_planes_are_read_off_graphs_of_every_format(graphs, to, tmp_path):
+    path = tmp_path / f"graph{SUFFIX.get(to, '.json')}"
+    write_graphs(path, graphs[:1], to)
+    (planes,) = read_planes(path)
+    assert_same(planes, observed_of(graphs[0]))
+
+
+def test_planes_as_a_robot_sends_them_are_read(graphs, tmp_path):
+    path = tmp_path / "planes.json"
+    path.write_text(json.dumps(planes_to_message(graphs[0])))
+    (planes,) = read_planes(path)
+    npt.assert_allclose(planes.nodes.position, observed_of(graphs[0]).nodes.position, atol=1e-9)
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_broken_graph_is_not_written(graphs, to, tmp_path):
+    broken = graphs[0]._replace(
+        nodes=graphs[0].nodes._replace(position=graphs[0].nodes.position * np.nan)
+    )
+    with pytest.raises(ValueError, match=r"graph 0: nodes\[0\].position is \[nan"):
+        write_graphs(tmp_path / f"graph{SUFFIX.get(to, '.json')}", [broken], to)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "to", "count", "sentence"),
+    [
+        ("a.json", "json", 2, "a.json: holds one graph, expected the name of a .jsonl file for 2"),
+        ("a.graphml", "graphml", 2, "a.graphml: holds one graph, expected one of them"),
+        ("a.json", "json", 0, "for 0 graphs"),
+        ("a.npz", "json", 1, "the name ends in '.npz', expected .json or .jsonl for json"),
+        ("a.json", "npz", 1, "the name ends in '.json', expected .npz for npz"),
+        ("a.json", "yaml", 1, "the format is 'yaml', expected one of json, networkx"),
+    ],
+)
+def test_a_file_that_cannot_hold_them_is_refused(graphs, name, to, count, sentence, tmp_path):
+    with pytest.raises(ValueError, match=sentence):
+        write_graphs(tmp_path / name, graphs[:count], to)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("a.xyz", b"", "the name ends in '.xyz', expected one of .json"),
+        ("a", b"", "the name ends in ''"),
+        ("a.json", b"{}", "no key that tells what it is, expected nodes and edges, or planes"),
+        ("a.json", b"[1]", "no key that tells what it is"),
+        ("a.json", b"{", "not JSON at line 1"),
+        ("a.jsonl", b'{"planes": []}\n{"nodes": 3}', "a.jsonl: line 1: planes holds no planes"),
+        ("a.npz", b"PK", "not an npz file"),
+    ],
+)
+def test_a_file_of_nothing_known_is_refused(name, content, sentence, tmp_path):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=sentence) as caught:
+        read_graphs(path)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory):
+    """The same small scene in a file of every format, and as a pickle in a zip."""
+    folder = tmp_path_factory.mktemp("originals")
+    graph = registry.make("s-f", 1)[0]
+    paths = []
+    for to in FORMATS:
+        paths.append(folder / f"{to}{SUFFIX.get(to, '.json')}")
+        write_graphs(paths[-1], [graph], to)
+    return graph, {path: path.read_bytes() for path in paths}
+
+
+@given(data=st.data())
+@settings(
+    deadline=None,
+    max_examples=80,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+def test_no_corruption_of_bytes_gives_a_traceback_or_a_broken_graph(data, originals, tmp_path):
+    _, files = originals
+    path, content = data.draw(st.sampled_from(sorted(files.items())))
+    start = data.draw(st.integers(0, len(content) - 1))
+    length = data.draw(st.integers(0, 40))
+    inserted = data.draw(st.binary(max_size=8))
+    damaged = tmp_path / path.name
+    damaged.write_bytes(content[:start] + inserted + content[start + length :])
+    graphs, refusal = read_or_refuse(damaged)
+    assert refusal is None or refusal.startswith(str(damaged))
+    assert refusal is None or "\n" not in refusal
+    for graph in graphs:
+        validate_graph(graph, "damaged", rules=False)
+
+
+def read_or_refuse(path):
+    try:
+        return read_graphs(path), None
+    except ValueError as error:
+        return [], str(error)

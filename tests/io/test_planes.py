@@ -1,0 +1,230 @@
+import json
+import re
+import warnings
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sg3d_jax.io.formats import read_planes
+from sg3d_jax.io.planes import COLUMNS, planes_from_dict, planes_to_dict, write_planes
+from sg3d_jax.scene.ontology import PLANE
+from sg3d_jax.scene.validate import validate_graph, validate_planes
+
+ROWS = (
+    (0.1, 1 / 3, 2.7, 0.0, -1.0, 0.0, 4.000000000000001),
+    (0.1, -1e-17, 2.7, 0.0, 1.0, 0.0, 4.0),
+    (2.1, 0.5, 2.7, -1.0, 0.0, 0.0, 1.0),
+)
+SCENE = {
+    "planes": [{"centroid": [*row[:3]], "normal": [*row[3:6]], "width": row[6]} for row in ROWS]
+}
+CSV = "\n".join([",".join(COLUMNS), *(",".join(map(repr, row)) for row in ROWS)]) + "\n"
+
+
+def table(graph):
+    position, normal, width = graph.nodes[1:4]
+    return np.column_stack([position, normal, width])
+
+
+def write(folder, name, content):
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def refusal(path):
+    with pytest.raises(ValueError, match=r"expected|not JSON|not CSV") as caught:
+        read_planes(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message.removeprefix(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.json", json.dumps(SCENE)),
+        ("a.JSON", json.dumps(SCENE)),
+        ("a.jsonl", json.dumps(SCENE) + "\n"),
+        ("a.csv", CSV),
+        ("a.csv", "\ufeff" + CSV.replace("\n", "\r\n")),
+        ("a.csv", CSV.replace(",", " , ") + "\n\n"),
+        ("a.csv", CSV.replace("cx", '"cx"')),
+    ],
+)
+def test_planes_are_read_exactly(tmp_path, name, content):
+    (graph,) = read_planes(write(tmp_path, name, content))
+    npt.assert_array_equal(table(graph), ROWS)
+    assert graph.nodes.label.tolist() == [PLANE] * 3
+    assert graph.nodes.position.dtype == np.float64
+    validate_graph(graph, "planes")
+
+
+def test_columns_may_come_in_any_order(tmp_path):
+    order = [6, 3, 0, 5, 1, 4, 2]
+    lines = [[COLUMNS[i] for i in order], *([repr(row[i]) for i in order] for row in ROWS)]
+    (graph,) = read_planes(write(tmp_path, "a.csv", "\n".join(map(",".join, lines))))
+    npt.assert_array_equal(table(graph), ROWS)
+
+
+def test_scenes_keep_the_order_of_their_lines(tmp_path):
+    scenes = [{"planes": SCENE["planes"][:count]} for count in (3, 2)]
+    path = write(tmp_path, "a.jsonl", "\n".join(map(json.dumps, scenes)))
+    assert [len(graph.nodes.label) for graph in read_planes(path)] == [3, 2]
+
+
+@given(
+    st.lists(
+        st.tuples(*[st.floats(-100, 100)] * 3, st.floats(0, 6.28), st.floats(0.1, 50)),
+        min_size=2,
+        max_size=6,
+        unique_by=lambda plane: round(plane[0], 3),
+    )
+)
+@settings(
+    deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_written_planes_read_back_bit_for_bit(tmp_path, planes):
+    rows = [[*p[:3], np.cos(p[3]), np.sin(p[3]), 0.0, p[4]] for p in planes]
+    scene = {"planes": [{"centroid": r[:3], "normal": r[3:6], "width": r[6]} for r in rows]}
+    graph = planes_from_dict(scene, "planes")
+    write_planes(tmp_path / "a.json", graph)
+    (read,) = read_planes(tmp_path / "a.json")
+    assert table(read).tobytes() == np.array(rows).tobytes()
+    assert planes_to_dict(read) == scene
+
+
+@pytest.mark.parametrize(
+    ("header", "sentence"),
+    [
+        ("cx,cy,cz,nx,ny,nz,length", "unknown column 'length', expected cx,cy,cz"),
+        ("cx,cy,cz,nx,ny,nz,width,height", "unknown column 'height'"),
+        ("cx,cy,cz,nx,ny,nz", "missing column 'width'"),
+        ("cx,cx,cy,cz,nx,ny,nz,width", "repeated column 'cx'"),
+        ("0,0,0,1,0,0,3", "unknown column '0'"),
+    ],
+)
+def test_a_wrong_header_is_refused(tmp_path, header, sentence):
+    rows = CSV.partition("\n")[2]
+    assert sentence in refusal(write(tmp_path, "a.csv", f"{header}\n{rows}"))
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("", ": the file is empty, expected a header cx,cy,cz,nx,ny,nz,width"),
+        (CSV.splitlines()[0], ": planes holds no planes"),
+        ("\n".join(CSV.splitlines()[:2]), ": planes holds one plane"),
+        (CSV + "1,2,3\n", ": line 5 has 3 cells, expected 7"),
+        (CSV.replace("4.0\n", "wide\n"), ": line 3: width is 'wide', expected a number"),
+        (CSV.replace("4.0\n", "\n"), ": line 3: width is '', expected a number"),
+        (CSV.replace("4.0\n", "nan\n"), ": planes[1].width is nan, expected finite numbers"),
+        (CSV.replace("4.0\n", '"4.0\n'), " is not CSV"),
+        (CSV + CSV.splitlines()[1], ": planes[3] repeats planes[0]"),
+    ],
+)
+def test_a_broken_table_is_refused(tmp_path, content, sentence):
+    assert sentence in refusal(write(tmp_path, "a.csv", content))
+
+
+def plane_with(**fields):
+    return {"planes": [SCENE["planes"][0], SCENE["planes"][1] | fields]}
+
+
+@pytest.mark.parametrize(
+    ("scene", "sentence"),
+    [
+        (SCENE | {"units": "mm"}, ": the scene has 'units', expected exactly planes"),
+        ({"planes": 3}, ": planes is no list"),
+        ({"planes": []}, ": planes holds no planes"),
+        ({"planes": [3]}, ": planes[0] is 3, expected an object with centroid, normal, width"),
+        ({"planes": [{"centroid": [0, 0, 0]}]}, ": planes[0] lacks 'normal', expected exactly"),
+        (plane_with(length=3), ": planes[1] has 'length', expected exactly centroid"),
+        (plane_with(width="3"), ": planes[1].width is '3', expected a number"),
+        (plane_with(width=True), ": planes[1].width is True, expected a number"),
+        (plane_with(width=None), ": planes[1].width is None, expected a number"),
+        (plane_with(width=10**400), ": planes[1].width is 1000"),
+        (plane_with(centroid=[0, 0]), ": planes[1].centroid is [0, 0], expected three numbers"),
+        (plane_with(normal=[1, 0, "0"]), ": planes[1].normal is '0', expected a number"),
+        (
+            plane_with(centroid=[0, float("nan"), 0]),
+            ": planes[1].centroid is [0, nan, 0], expected",
+        ),
+    ],
+)
+def test_a_broken_scene_is_refused(tmp_path, scene, sentence):
+    assert sentence in refusal(write(tmp_path, "a.json", json.dumps(scene)))
+    lines = "\n".join(map(json.dumps, [SCENE, scene]))
+    assert ": line 2" + sentence in refusal(write(tmp_path, "a.jsonl", lines))
+
+
+@pytest.mark.parametrize(
+    ("scene", "sentence"),
+    [
+        ([], "the scene is [], expected an object with planes"),
+        ({}, "the scene lacks 'planes'"),
+    ],
+)
+def test_a_document_without_planes_is_refused(scene, sentence):
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        planes_from_dict(scene, "here")
+
+
+@given(
+    name=st.sampled_from(["a.json", "a.jsonl", "a.csv"]),
+    start=st.integers(0, 400),
+    length=st.integers(0, 20),
+    junk=st.one_of(st.binary(max_size=8), st.text(max_size=8).map(str.encode)),
+)
+@settings(
+    deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_a_corrupted_file_is_refused_or_gives_sound_planes(tmp_path, name, start, length, junk):
+    sound = (CSV if name == "a.csv" else json.dumps(SCENE)).encode()
+    path = write(tmp_path, name, sound[:start] + junk + sound[start + length :])
+    assert_refused_or_sound(path)
+
+
+JSON_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(["planes", "centroid", "normal", "width"]), inner)
+    ),
+    max_leaves=12,
+)
+
+
+@given(data=st.data(), value=JSON_VALUES)
+@settings(
+    deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_any_value_in_any_field_is_refused_or_gives_sound_planes(tmp_path, data, value):
+    scene = json.loads(json.dumps(SCENE))
+    places = [(scene, "planes"), (scene["planes"], 1)]
+    places += [(scene["planes"][1], name) for name in ("centroid", "normal", "width")]
+    places += [(scene["planes"][1][name], 2) for name in ("centroid", "normal")]
+    holder, key = data.draw(st.sampled_from(places))
+    holder[key] = value
+    assert_refused_or_sound(write(tmp_path, "a.json", json.dumps(scene)))
+
+
+def assert_refused_or_sound(path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        graphs, message = read_or_refuse(path)
+    assert message is None or message.startswith(str(path))
+    assert message is None or "\n" not in message
+    for graph in graphs:
+        validate_planes(*graph.nodes[1:4], "planes")
+
+
+def read_or_refuse(path):
+    try:
+        return read_planes(path), None
+    except ValueError as error:
+        return [], str(error)

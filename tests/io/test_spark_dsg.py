@@ -1,0 +1,436 @@
+import copy
+import importlib
+import inspect
+import json
+import os
+import warnings
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sg3d_jax.data import synthetic
+from sg3d_jax.io.formats import read_graphs, write_graphs
+from sg3d_jax.io.spark_dsg import LAYERS, graph_from_spark_dsg, graph_to_spark_dsg
+from sg3d_jax.scene.ontology import (
+    BUILDING,
+    CITY,
+    FLOOR,
+    PART_OF,
+    PLANE,
+    PROXIMITY,
+    ROOM,
+    WALL,
+)
+from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.validate import validate_graph
+from tests.io.documents import places_of
+
+WALLS = ("edges", "metadata")
+
+
+def city(seed=0):
+    """Returns one node of every concept above two rooms of two planes each, and proximity."""
+    rng = np.random.default_rng(seed)
+    label = [*[PLANE] * 4, WALL, ROOM, ROOM, FLOOR, BUILDING, CITY]
+    angle = rng.uniform(0, 6, 4)
+    normal = np.zeros((10, 3))
+    normal[:4, :2] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    width = np.zeros(10)
+    width[:4] = rng.uniform(0.5, 8, 4)
+    part_of = [[0, 5], [1, 5], [2, 6], [3, 6], [1, 4], [2, 4], [5, 7], [6, 7], [7, 8], [8, 9]]
+    return make_graph(
+        label, rng.normal(0, 9, (10, 3)), normal, width, part_of, [[0, 1], [1, 2], [0, 3]]
+    )
+
+
+def shuffled(seed=0):
+    """Returns a graph whose concepts are mixed, as a growth step in mixed order may leave it."""
+    graph, order = city(seed), np.random.default_rng(seed).permutation(10)
+    place = np.argsort(order)
+    fields = (field[order] for field in graph.nodes[:4])
+    return make_graph(*fields, *(place[undirected_edges(graph, k)] for k in (PART_OF, PROXIMITY)))
+
+
+def document(walls="edges"):
+    return json.loads(json.dumps(graph_to_spark_dsg(city(), walls)))
+
+
+def assert_same_graph(left, right):
+    for one, other in zip(left.nodes, right.nodes, strict=True):
+        assert one.tobytes() == other.tobytes()
+    for relation in (PART_OF, PROXIMITY):
+        npt.assert_array_equal(undirected_edges(left, relation), undirected_edges(right, relation))
+
+
+def library():
+    """Returns their package; .ci/run says where it has installed it, there its absence fails."""
+    if "SG3D_HAS_SPARK_DSG" in os.environ:
+        return importlib.import_module("spark_dsg")
+    return pytest.importorskip("spark_dsg")
+
+
+@pytest.mark.parametrize("walls", WALLS)
+@pytest.mark.parametrize("graph", [city(), shuffled()], ids=["city", "shuffled"])
+def test_a_graph_survives_its_file_bit_for_bit(tmp_path, graph, walls):
+    write_graphs(tmp_path / "a.json", [graph], "spark-dsg", [{"seed": 1}], walls=walls)
+    (read,) = read_graphs(tmp_path / "a.json")
+    assert_same_graph(read, graph)
+    assert json.loads((tmp_path / "a.json").read_text())["metadata"]["seed"] == 1
+
+
+def test_edges_that_break_the_hierarchy_survive():
+    graph = city()
+    fields = graph.nodes[:4]
+    wild = make_graph(*fields, part_of=[[0, 9], [5, 6], [0, 1], [4, 5]], proximity=[[5, 7], [2, 3]])
+    for walls in WALLS:
+        assert_same_graph(graph_from_spark_dsg(graph_to_spark_dsg(wild, walls)), wild)
+
+
+def test_every_concept_is_a_layer_and_every_symbol_a_letter_and_a_row():
+    nodes = graph_to_spark_dsg(city())["nodes"]
+    assert [node["layer"] for node in nodes] == [2, 2, 2, 2, 3, 4, 4, 5, 6, 7]
+    symbols = [(chr(node["id"] >> 56), node["id"] & (2**56 - 1)) for node in nodes]
+    assert symbols == list(zip("ppppwRRFBC", range(10), strict=True))
+    assert nodes[6]["attributes"]["name"] == "room 6"
+    assert nodes[6]["id"] == 5908722711110090758
+
+
+def test_parents_come_first_in_edges():
+    made = graph_to_spark_dsg(city())
+    layer = {node["id"]: node["layer"] for node in made["nodes"]}
+    for edge in made["edges"]:
+        if edge["info"]["metadata"]["relation"] == "part_of":
+            assert layer[edge["source"]] > layer[edge["target"]]
+
+
+def test_walls_in_metadata_leave_every_node_at_most_one_parent():
+    made = graph_to_spark_dsg(city(), "metadata")
+    part_of = [e for e in made["edges"] if e["info"]["metadata"]["relation"] == "part_of"]
+    children = [edge["target"] for edge in part_of]
+    assert len(part_of) == 8
+    assert len(set(children)) == len(children)
+    wall = made["nodes"][4]["id"]
+    held = [node["attributes"]["metadata"].get("walls") for node in made["nodes"]]
+    assert held == [None, [wall], [wall], *[None] * 7]
+
+
+def test_only_what_was_not_observed_is_predicted():
+    predicted = [n["attributes"]["is_predicted"] for n in graph_to_spark_dsg(city())["nodes"]]
+    assert predicted == [False] * 4 + [True] * 6
+
+
+def test_colours_are_those_of_the_pictures():
+    colour = graph_to_spark_dsg(city())["nodes"][0]["attributes"]["color"]
+    assert colour == {"r": 0x1D, "g": 0x4E, "b": 0xD8, "a": 255}
+
+
+def test_a_box_holds_the_planes_below_a_node():
+    label, no_normal = [PLANE, PLANE, ROOM, FLOOR, BUILDING], [0.0, 0.0, 0.0]
+    position = [[0, 1, 1], [2, 0, 1], [9, 9, 9], [9, 9, 9], [0, 0, 0]]
+    normal = [[1, 0, 0], [0, 1, 0], *[no_normal] * 3]
+    graph = make_graph(label, position, normal, [2, 4, 0, 0, 0], [[0, 2], [1, 2], [2, 3]])
+    boxes = [n["attributes"]["bounding_box"] for n in graph_to_spark_dsg(graph)["nodes"]]
+    assert [box["type"] for box in boxes] == ["AABB"] * 4 + ["INVALID"]
+    assert [box["dimensions"] for box in boxes[:2]] == [[0, 2, 0], [4, 0, 0]]
+    for box in boxes[2:4]:
+        assert box["dimensions"] == [4, 2, 0]
+        assert box["world_P_center"] == [2, 1, 1]
+
+
+def test_a_wrong_mode_is_refused():
+    with pytest.raises(ValueError, match="walls is 'tree', expected 'edges' or 'metadata'"):
+        inspect.unwrap(graph_to_spark_dsg)(city(), "tree")  # past the check of types
+
+
+def test_a_broken_graph_is_not_written(tmp_path):
+    graph = city()
+    graph.nodes.width[0] = np.nan
+    with pytest.raises(ValueError, match=r"a\.json: graph 0: nodes\[0\]\.width is nan"):
+        write_graphs(tmp_path / "a.json", [graph], "spark-dsg")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("walls", WALLS)
+def test_their_library_sees_the_same_graph(tmp_path, walls):
+    spark_dsg, graph = library(), city()
+    write_graphs(tmp_path / "a.json", [graph], "spark-dsg", walls=walls)
+    written = json.loads((tmp_path / "a.json").read_text())
+    loaded = spark_dsg.DynamicSceneGraph.load(str(tmp_path / "a.json"))
+    ids = [node["id"] for node in written["nodes"]]
+    assert {node.id.value for node in loaded.nodes} == set(ids)
+    for concept, name in enumerate(LAYERS):
+        inside = {node.id.value for node in loaded.get_layer(name).nodes}
+        assert inside == {ids[row] for row in np.flatnonzero(graph.nodes.label == concept)}
+    pairs = {frozenset((edge.source, edge.target)) for edge in loaded.edges}
+    assert pairs == {frozenset((edge["source"], edge["target"])) for edge in written["edges"]}
+    for row, name in enumerate(ids):
+        attributes = loaded.get_node(name).attributes
+        npt.assert_array_equal(attributes.position, graph.nodes.position[row])
+        assert attributes.is_predicted == (graph.nodes.label[row] != PLANE)
+    assert loaded.num_edges() == len(written["edges"])
+    assert loaded.get_node(ids[6]).get_parent() == ids[7]
+    assert loaded.get_node(ids[1]).has_parent() == (walls == "metadata")
+    assert set(loaded.get_node(ids[7]).children()) == {ids[5], ids[6]}
+    assert set(loaded.get_node(ids[0]).siblings()) == {ids[1], ids[3]}
+
+
+@pytest.mark.parametrize("walls", WALLS)
+def test_what_their_library_saves_again_is_the_same_graph(tmp_path, walls):
+    spark_dsg = library()
+    for graph in (city(), shuffled(), synthetic.make_scene(synthetic.S_F, 0, 3)):
+        write_graphs(tmp_path / "a.json", [graph], "spark-dsg", walls=walls)
+        spark_dsg.DynamicSceneGraph.load(str(tmp_path / "a.json")).save(str(tmp_path / "b.json"))
+        (read,) = read_graphs(tmp_path / "b.json")
+        assert_same_graph(read, graph)
+
+
+def test_no_field_of_theirs_is_missing(tmp_path):
+    spark_dsg = library()
+    write_graphs(tmp_path / "a.json", [city()], "spark-dsg")
+    spark_dsg.DynamicSceneGraph.load(str(tmp_path / "a.json")).save(str(tmp_path / "b.json"))
+    ours, theirs = (json.loads((tmp_path / name).read_text()) for name in ("a.json", "b.json"))
+    assert set(ours) == set(theirs)
+    attributes = ({n["id"]: n["attributes"] for n in both["nodes"]} for both in (ours, theirs))
+    for name, fields in next(attributes).items():
+        same = dict(fields, bounding_box=None)  # kept in single precision by them
+        theirs_of = {node["id"]: node["attributes"] for node in theirs["nodes"]}
+        assert same == dict(theirs_of[name], bounding_box=None)
+
+
+def test_rooms_and_buildings_that_their_library_made_are_read(tmp_path):
+    spark_dsg = library()
+    graph, places = spark_dsg.DynamicSceneGraph(), {"R": "ROOMS", "B": "BUILDINGS"}
+    for symbol, position in (("R1", [1, 2, 3]), ("B0", [4, 5, 6]), ("R0", [0, 0, 0.1])):
+        attributes = spark_dsg.RoomNodeAttributes()
+        attributes.position = np.array(position, float)
+        name = spark_dsg.NodeSymbol(symbol[0], int(symbol[1])).value
+        graph.add_node(places[symbol[0]], name, attributes)
+    rooms = [spark_dsg.NodeSymbol("R", index).value for index in (0, 1)]
+    for pair in ([spark_dsg.NodeSymbol("B", 0).value, rooms[0]], rooms):
+        graph.insert_edge(*pair)
+    graph.save(str(tmp_path / "a.json"))
+    (read,) = read_graphs(tmp_path / "a.json")
+    assert read.nodes.label.tolist() == [ROOM, ROOM, BUILDING]
+    npt.assert_array_equal(read.nodes.position, [[0, 0, 0.1], [1, 2, 3], [4, 5, 6]])
+    npt.assert_array_equal(undirected_edges(read, PART_OF), [[0, 2]])
+    npt.assert_array_equal(undirected_edges(read, PROXIMITY), [[0, 1]])
+
+
+def hydra():
+    """Returns the layers of Hydra around one object, one room and one building."""
+
+    def key(layer, partition=0):
+        return {"layer": layer, "partition": partition}
+
+    def node(letter, layer, **fields):
+        attributes = {"type": "SemanticNodeAttributes", "position": [0.0, 1.0, 2.0]}
+        return {"id": ord(letter) << 56, **key(layer), "attributes": attributes | fields}
+
+    edge = {"source": ord("B") << 56, "target": ord("R") << 56, "info": {"type": "EdgeAttributes"}}
+    names = {"AGENTS": 2, "OBJECTS": 2, "PLACES": 3, "ROOMS": 4, "BUILDINGS": 5}
+    return {
+        "SPARK_DSG_header": {"project_name": "main", "version": {"major": 1, "minor": 1}},
+        "layer_keys": [key(layer) for layer in range(2, 6)],
+        "layer_names": {name: key(layer) for name, layer in names.items()},
+        "nodes": [node("R", 4, metadata=None), node("B", 5)],
+        "edges": [edge],
+    }
+
+
+def test_layers_without_nodes_may_have_any_name():
+    read = graph_from_spark_dsg(hydra())
+    assert read.nodes.label.tolist() == [ROOM, BUILDING]
+    npt.assert_array_equal(undirected_edges(read, PART_OF), [[0, 1]])
+
+
+def test_a_node_of_a_layer_that_is_no_concept_is_refused():
+    foreign = hydra()
+    foreign["nodes"][1]["layer"] = 3
+    sentence = r"^dsg: nodes\[1\] lies in layer 3, partition 0 \(PLACES\), expected one of PLANES"
+    with pytest.raises(ValueError, match=sentence):
+        graph_from_spark_dsg(foreign, "dsg")
+
+
+def broken(change):
+    made = document("metadata")
+    change(made)
+    return made
+
+
+def broken_node(index, *path, value):
+    def change(made):
+        holder = made["nodes"][index]
+        for key in path[:-1]:
+            holder = holder[key]
+        holder[path[-1]] = value
+
+    return broken(change)
+
+
+METADATA = ("attributes", "metadata")
+
+
+@pytest.mark.parametrize(
+    ("made", "sentence"),
+    [
+        ([], r"the document is \[\], expected a Spark-DSG graph"),
+        ({}, "SPARK_DSG_header is missing, expected an object"),
+        (broken(lambda d: d.pop("SPARK_DSG_header")), "SPARK_DSG_header is missing"),
+        (broken(lambda d: d.pop("layer_keys")), "layer_keys is missing, expected a list"),
+        (broken(lambda d: d.update(edges=3)), "edges is 3, expected a list"),
+        (broken(lambda d: d.update(nodes=[], edges=[])), "nodes is empty, expected at least one"),
+        (broken(lambda d: d.update(nodes=[7])), r"nodes\[0\] is 7, expected an object"),
+        (
+            broken(lambda d: d["layer_keys"].pop()),
+            r"\['CITIES'\] is layer 7, partition 0, expected",
+        ),
+        (
+            broken(lambda d: d["layer_names"].update(ROOMS=4)),
+            r"\['ROOMS'\] is 4, expected an object",
+        ),
+        (
+            broken(lambda d: d["layer_names"]["ROOMS"].update(layer=3)),
+            r"\['ROOMS'\] is layer 3, partition 0 like WALLS, expected a layer of its own",
+        ),
+        (
+            broken_node(3, "layer", value=8),
+            r"nodes\[3\] lies in layer 8, partition 0, expected one",
+        ),
+        (
+            broken_node(3, "partition", value=1),
+            r"nodes\[3\] lies in layer 2, partition 1, expected",
+        ),
+        (broken_node(3, "layer", value=3), r"nodes\[3\].normal is .*, expected zero: only planes"),
+        (broken_node(5, "layer", value=2), r"nodes\[5\].normal is \[0, 0, 0\], expected length 1"),
+        (broken_node(3, "id", value=1.5), r"nodes\[3\].id is 1.5, expected an integer below 2\^64"),
+        (broken_node(3, "id", value=2**64), r"nodes\[3\].id is 18446744073709551616, expected"),
+        (broken_node(3, "id", value=True), r"nodes\[3\].id is True, expected an integer"),
+        (
+            broken_node(1, "id", value=ord("p") << 56),
+            r"nodes\[1\].id is \d+ again, expected unique",
+        ),
+        (broken(lambda d: d["nodes"][3].pop("attributes")), r"nodes\[3\] lacks 'attributes'"),
+        (
+            broken_node(3, "attributes", "type", value="PlaneNodeAttributes"),
+            r"nodes\[3\].attributes.type is 'PlaneNodeAttributes', expected one of Semantic",
+        ),
+        (
+            broken_node(3, "attributes", "position", value=[0, 0]),
+            r"nodes\[3\].attributes.position is \[0, 0\], expected three numbers",
+        ),
+        (
+            broken_node(3, "attributes", "position", value=[0, 0, float("nan")]),
+            r"nodes\[3\].position is \[0, 0, nan\], expected finite",
+        ),
+        (broken_node(3, *METADATA, value=[]), r"nodes\[3\].attributes.metadata is \[\], expected"),
+        (
+            broken_node(3, *METADATA, value={}),
+            r"nodes\[3\].normal is \[0, 0, 0\], expected length 1",
+        ),
+        (broken_node(3, *METADATA, "normal", value="x"), r"metadata.normal is 'x', expected three"),
+        (broken_node(3, *METADATA, "width", value=None) | {"edges": 0}, "edges is 0"),
+        (broken_node(3, *METADATA, "width", value=-1), r"nodes\[3\].width is -1, expected zero"),
+        (broken_node(1, *METADATA, "walls", value=4), "metadata.walls is 4, expected a list"),
+        (
+            broken_node(1, *METADATA, "walls", value=[4]),
+            r"walls\[0\] is 4, expected the id of a wall",
+        ),
+        (
+            broken_node(1, *METADATA, "walls", value=[ord("p") << 56]),
+            r"metadata.walls\[0\] is \d+, expected the id of a wall",
+        ),
+        (
+            broken(lambda d: d["edges"][2].update(source=5)),
+            r"edges\[2\].source is 5, expected the id",
+        ),
+        (broken(lambda d: d["edges"][2].update(target=0.5)), r"edges\[2\].target is 0.5, expected"),
+        (broken(lambda d: d["edges"][2].pop("info")), r"edges\[2\] lacks 'info'"),
+        (
+            broken(lambda d: d["edges"][2].update(info=None)),
+            r"edges\[2\].info is None, expected an",
+        ),
+        (
+            broken(lambda d: d["edges"][2]["info"]["metadata"].update(relation="near")),
+            r"edges\[2\].info.metadata.relation is 'near', expected proximity or part_of",
+        ),
+        (broken(lambda d: d["edges"].append(d["edges"][0])), "is there twice, expected once"),
+        (
+            broken(lambda d: d["edges"][0].update(target=d["edges"][0]["source"])),
+            "is a loop, expected two nodes",
+        ),
+    ],
+)
+def test_a_broken_document_is_refused_in_one_sentence(made, sentence):
+    with pytest.raises(ValueError, match=rf"^dsg\.json: .*{sentence}") as caught:
+        graph_from_spark_dsg(made, "dsg.json")
+    assert "\n" not in str(caught.value)
+    assert "expected" in str(caught.value)
+
+
+def refused_or_sound(read):
+    """Returns the sound graphs that are read, or None if they are refused in one sentence."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        graphs, message = read_or_message(read)
+    assert message is None or "\n" not in message
+    for graph in graphs or ():
+        validate_graph(graph, "graph", rules=False)
+    return graphs
+
+
+def read_or_message(read):
+    try:
+        return read(), None
+    except ValueError as error:
+        return None, str(error)
+
+
+@given(
+    start=st.integers(0, 9000),
+    length=st.integers(0, 30),
+    junk=st.one_of(st.binary(max_size=8), st.text(max_size=8).map(str.encode)),
+)
+@settings(
+    deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_a_corrupted_file_is_refused_or_gives_a_sound_graph(tmp_path, start, length, junk):
+    sound = json.dumps(graph_to_spark_dsg(city())).encode()
+    start %= len(sound)
+    (tmp_path / "a.json").write_bytes(sound[:start] + junk + sound[start + length :])
+    refused_or_sound(lambda: read_graphs(tmp_path / "a.json"))
+
+
+@given(share=st.floats(0, 0.999))
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_a_truncated_file_is_refused(tmp_path, share):
+    sound = json.dumps(graph_to_spark_dsg(city())).encode()
+    (tmp_path / "a.json").write_bytes(sound[: int(share * len(sound))])
+    assert refused_or_sound(lambda: read_graphs(tmp_path / "a.json")) is None
+
+
+SOUND = document("metadata")
+PLACES = sorted(places_of(SOUND), key=str)
+JSON_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(st.sampled_from(["layer", "partition", "position", "walls"]), inner)
+    ),
+    max_leaves=8,
+)
+
+
+@given(place=st.sampled_from(PLACES), value=JSON_VALUES)
+@settings(deadline=None, max_examples=100)
+def test_any_value_anywhere_is_refused_or_gives_a_sound_graph(place, value):
+    changed = copy.deepcopy(SOUND)
+    holder = changed
+    for key in place[:-1]:
+        holder = holder[key]
+    holder[place[-1]] = value
+    refused_or_sound(lambda: [graph_from_spark_dsg(changed, "dsg")])
