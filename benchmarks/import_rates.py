@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 from sg3d_jax.data import floorplan, msd
-from sg3d_jax.metrics.describe import describe
 from sg3d_jax.data.levels import LEVELS
+from sg3d_jax.metrics.describe import describe
 
 RESULTS = Path(__file__).parent / "results"
 COLUMNS = ("nodes", "edges", "degree", "hierarchy_edges")

@@ -14,8 +14,8 @@ import numpy as np
 
 from sg3d_jax.data import registry
 from sg3d_jax.io.formats import FORMATS, read_graphs, write_graphs
+from sg3d_jax.scene.graph import SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
-from sg3d_jax.scene.graph import SceneGraph, undirected_edges
 
 RESULTS: Final = Path(__file__).parent / "results" / "round_trips.json"
 FLOORS, CITIES = 450, 50
@@ -23,9 +23,11 @@ ONE_A_FILE: Final = ("graphml",)
 
 
 def is_same(one: SceneGraph, other: SceneGraph) -> bool:
-    """Returns whether all fields are equal, bit for bit, and so are the edges."""
+    """Returns whether all fields are equal, bit for bit, and so are the edges and the concepts."""
     fields = zip(one.nodes, other.nodes, strict=True)
-    return all(left.tobytes() == right.tobytes() for left, right in fields) and all(
+    same = ontology_of(one) == ontology_of(other)
+    same &= all(left.tobytes() == right.tobytes() for left, right in fields)
+    return same and all(
         np.array_equal(undirected_edges(one, relation), undirected_edges(other, relation))
         for relation in (PART_OF, PROXIMITY)
     )

@@ -6,29 +6,20 @@ import runpy
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
-
-import jax.numpy as jnp
+from typing import Any, Final
 
 from sg3d_jax.baselines.edge_classifier import ECLConfig, ECSquareConfig
 from sg3d_jax.baselines.edge_features import Scales
 from sg3d_jax.baselines.midi_oracle import MiDiOracleConfig
-from sg3d_jax.data import registry, schema
+from sg3d_jax.data import registry
 from sg3d_jax.fill.midi import MiDiConfig
 from sg3d_jax.fill.protocol import Statistics
-from sg3d_jax.flagg.grow import growth_capacity
-from sg3d_jax.scene.ontology import PLANE
+from sg3d_jax.infer.lanes import Model, growth_capacity
+from sg3d_jax.io import npz
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
-from sg3d_jax.train.methods import (
-    CLASSIFYING,
-    GROWING,
-    METHODS,
-    Model,
-    ModelConfig,
-    build_model,
-    init,
-)
+from sg3d_jax.train.methods import METHODS, Measured, build_model
 from sg3d_jax.train.weights import save_weights
 from tests.two_rooms import on_device, random_params, two_rooms
 
@@ -57,14 +48,14 @@ SMALL: Final = {
 
 
 STATISTICS: Final = Statistics(
-    label=jnp.array([0, 0.3, 0.4, 0.2, 0.1, 0]),
-    block_edge=jnp.array([0.9, 0.1]),
-    cross_edge=jnp.array([0.8, 0.2]),
-    distance_mean=jnp.asarray(3.1),
-    distance_std=jnp.asarray(1.7),
-    position_std=jnp.asarray(1.3),
+    label=(0.0, 0.3, 0.4, 0.2, 0.1, 0.0),
+    block_edge=(0.9, 0.1),
+    cross_edge=(0.8, 0.2),
+    distance_mean=3.1,
+    distance_std=1.7,
+    position_std=1.3,
 )
-SCALES: Final = Scales(jnp.asarray(0.4), jnp.asarray(7.0), jnp.asarray(9.0))
+SCALES: Final = Scales(0.4, 7.0, 9.0)
 
 
 @functools.cache
@@ -76,12 +67,11 @@ def small_floors() -> list[SceneGraph]:
 
 
 def _is_small(graph: SceneGraph) -> bool:
-    label = graph.nodes.label
-    capacity = growth_capacity(int((label == PLANE).sum()))
-    return len(label) <= NODES and capacity.nodes == GROWN_NODES
+    capacity = growth_capacity(int(graph.nodes.observed.sum()))
+    return len(graph.nodes.label) <= NODES and capacity.nodes == GROWN_NODES
 
 
-MODELS: Final[Mapping[str, ModelConfig]] = MappingProxyType(
+MODELS: Final[Mapping[str, Any]] = MappingProxyType(
     {
         "ec-square": ECSquareConfig(heads=1, width=4, decoder=(4,)),
         "ec-l": ECLConfig(
@@ -102,7 +92,7 @@ MODELS: Final[Mapping[str, ModelConfig]] = MappingProxyType(
 def tiny_config(folder: Path) -> Config:
     """Returns a run on `small_floors`, which it writes into a folder."""
     path = folder / "floors.npz"
-    schema.save(path, small_floors(), registry.header("s-f-square"))
+    npz.save(path, small_floors(), registry.header("s-f-square"))
     return dataclasses.replace(
         read_config("test"),
         data=DataConfig(name=str(path)),
@@ -121,7 +111,7 @@ def shortest_run(folder: Path, method: str) -> Config:
     return dataclasses.replace(
         config,
         model=MODELS[method],
-        flagg=config.flagg if METHODS[method].kind is GROWING else None,
+        flagg=config.flagg if METHODS[method].grows else None,
         optimiser=OptimiserConfig(warmup_steps=1),
         steps=2,
         steps_per_call=2,
@@ -129,17 +119,19 @@ def shortest_run(folder: Path, method: str) -> Config:
     )
 
 
+def measured(method: str) -> Measured:
+    """Returns what a model of any method knows of a training set that is made up."""
+    return SCALES if METHODS[method].statistics is Scales else STATISTICS
+
+
 def untrained_model(method: str) -> Model:
     """Returns a model of any method, for a training set that is made up."""
-    kind = METHODS[method].kind
-    statistics = SCALES if kind is CLASSIFYING else STATISTICS
-    flagg = read_config("test").flagg if kind is GROWING else None
-    return build_model(MODELS[method], flagg, statistics)
+    flagg = read_config("test").flagg if METHODS[method].grows else None
+    return build_model(MODELS[method], flagg, measured(method), PAPER_ONTOLOGY)
 
 
 def untrained_weights(folder: Path, method: str = "fd4") -> Path:
     """Writes weights of a method, drawn at random, for `small_floors`."""
     config, model = shortest_run(folder, method), untrained_model(method)
-    params = random_params(functools.partial(init, model), on_device(two_rooms()))
-    statistics = SCALES if METHODS[method].kind is CLASSIFYING else STATISTICS
-    return save_weights(folder / f"{method}.npz", config, statistics, params)
+    params = random_params(model.init, on_device(two_rooms()))
+    return save_weights(folder / f"{method}.npz", config, measured(method), params)

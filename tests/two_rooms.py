@@ -9,8 +9,15 @@ import numpy as np
 
 from sg3d_jax.fill.protocol import Statistics
 from sg3d_jax.nn.graph_transformer import Gates
-from sg3d_jax.scene.ontology import FLOOR, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, undirected_edges
+from sg3d_jax.scene.graph import (
+    SceneGraph,
+    features_of,
+    make_graph,
+    observed_of,
+    ontology_of,
+    undirected_edges,
+)
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.padding import Block, Capacity, pad, part_of_adjacency
 from sg3d_jax.scene.proximity import connect_observed
 
@@ -99,11 +106,17 @@ def rotation(angle: float) -> np.ndarray:
 
 
 def reordered(graph: SceneGraph, order: np.ndarray) -> SceneGraph:
-    """Renumbers a host graph: node i of the result is node order[i]."""
+    """Renumbers a host graph: node i of the result is node order[i]; its edges come backwards."""
     place = np.argsort(order)
     part_of, proximity = (place[undirected_edges(graph, kind)] for kind in (PART_OF, PROXIMITY))
-    fields = (np.asarray(field)[order] for field in graph.nodes[:4])
-    return make_graph(*fields, part_of[::-1], proximity[::-1])
+    return make_graph(
+        np.asarray(graph.nodes.label)[order],
+        np.asarray(graph.nodes.position)[order],
+        **{name: np.asarray(array)[order] for name, array in features_of(graph).items()},
+        part_of=part_of[::-1],
+        proximity=proximity[::-1],
+        ontology=ontology_of(graph),
+    )
 
 
 def with_garbage(graph: SceneGraph, seed: int) -> SceneGraph:
@@ -117,7 +130,8 @@ def with_garbage(graph: SceneGraph, seed: int) -> SceneGraph:
         return jnp.asarray(np.where(mask, real, nonsense), real.dtype)
 
     nodes, edges = graph.nodes, graph.edges
-    labels, relations = rng.integers(NUM_CONCEPTS, size=num_nodes), rng.integers(2, size=num_edges)
+    labels = rng.integers(ontology_of(graph).num_concepts, size=num_nodes)
+    relations = rng.integers(2, size=num_edges)
     ends = rng.integers(num_nodes, size=(2, num_edges))
     vectors = rng.normal(0, 50, (2, num_nodes, 3))
     return graph._replace(

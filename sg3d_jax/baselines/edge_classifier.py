@@ -12,9 +12,9 @@ seen, where the original EC-L trains on all true pairs. Both are trained as our 
 with warm-up and decay, batches of graphs, averaged parameters of the best validation FGW.
 """
 
+import abc
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -36,7 +36,8 @@ from sg3d_jax.baselines.edge_features import (
     near_planes,
     relative_features,
 )
-from sg3d_jax.flagg.grow import ONE_SHOT, Completion, Grown, complete_in_batches
+from sg3d_jax.fill.protocol import Params, Terms
+from sg3d_jax.flagg.grow import ONE_SHOT, Grown
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.edge_attention import (
     NO_ROOM,
@@ -46,13 +47,10 @@ from sg3d_jax.nn.edge_attention import (
     reverse_of,
     room_means,
 )
-from sg3d_jax.scene.ontology import BUILDING, FLOOR, NUM_RELATIONS, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, undirected_edges
+from sg3d_jax.scene.graph import PackedGraph, SceneGraph, observed_of, subgraph
+from sg3d_jax.scene.ontology import BUILDING, FLOOR, PAPER_ONTOLOGY, ROOM, WALL, Ontology
 from sg3d_jax.scene.padding import Capacity, bucket, part_of_adjacency, stack
 from sg3d_jax.scene.proximity import NEIGHBOURS, connect_observed
-
-Params = Any
-Terms = dict[str, Float[Array, ""]]
 
 NEITHER, SAME_ROOM, SAME_WALL = range(3)
 
@@ -89,54 +87,103 @@ class Classified(NamedTuple):
     certainty: Array  # float[E], 0 to 1, of being in the same room
 
 
-class EdgeClassifier(NamedTuple):
-    """An edge classifier: pure functions on one padded graph, and a rule of rooms on the host.
+class EdgeClassifier(abc.ABC):
+    """What EC-square and EC-L have in common: pure functions, and a rule of rooms on the host."""
+
+    @property
+    def ontology(self) -> Ontology:
+        """The paper's: both know walls and rooms alone."""
+        return PAPER_ONTOLOGY
+
+    @abc.abstractmethod
+    def classify(self, params: Params, key: Key[Array, ""], graph: SceneGraph) -> Classified:
+        """Classifies the edges of a padded graph."""
+
+    @abc.abstractmethod
+    def offset(
+        self, params: Params, graph: SceneGraph, room: Int[Array, " N"]
+    ) -> Float[Array, "N 2"]:
+        """Returns, metres, from the mean of the planes of each room to its centroid."""
+
+    @abc.abstractmethod
+    def rooms(self, pairs: Pairs, certainty: np.ndarray) -> Rooms:
+        """Returns the rooms of pairs in the same room, given how certain these are."""
+
+    def capacity(self, num_observed: int, num_missing: int) -> Capacity:
+        """Returns the bucket of a scene, with as many edges as nearest neighbours can be."""
+        nodes = bucket(num_observed).nodes
+        return Capacity(nodes, 2 * NEIGHBOURS * nodes)
+
+    def complete_lanes(
+        self,
+        params: Params,
+        keys: Key[Array, " B"],
+        given: PackedGraph,
+        num_missing: Int[Array, " B"],
+    ) -> Grown:
+        """Completes stacked planes: networks on the device, rooms and walls on the host.
+
+        Planes are as given, then come walls, then rooms, if any. The keys decide on the dropout
+        that tells how certain a pair is; EC-square has none.
+        """
+        connected, classified = classify_batch(self, params, keys, given)
+        lanes = _unstacked((connected, classified))
+        found = [_rooms_and_walls(self, *lane) for lane in lanes]
+        room = np.full(given.nodes.mask.shape, NO_ROOM)
+        for row, (rooms, _) in zip(room, found, strict=True):
+            for index, members in enumerate(rooms):
+                row[list(members)] = index
+        offset = np.asarray(offset_batch(self, params, given, jnp.asarray(room)))
+        graphs = [
+            with_rooms_and_walls(observed_of(graph), rooms, walls, row[: len(rooms)])
+            for (graph, _), (rooms, walls), row in zip(lanes, found, offset, strict=True)
+        ]
+        capacity = Capacity(
+            max(len(graph.nodes.label) for graph in graphs),
+            max(len(graph.senders) for graph in graphs),
+        )
+        steps = jnp.ones(len(graphs), jnp.int32)
+        return Grown(stack(graphs, capacity), ONE_SHOT * steps, steps)
+
+
+@dataclasses.dataclass(frozen=True)
+class ECSquare(EdgeClassifier):
+    """EC-square.
 
     Attributes:
-      init: (key, graph) -> params.
-      loss: (params, key, graph) -> (loss, terms), of a complete graph with proximity edges.
-      classify: (params, key, graph) -> classified edges.
-      offset: (params, graph, room of each plane) -> float[N, 2], metres: the offset of each room's
-        centroid from the mean of its planes.
-      rooms: (pairs in the same room, their certainty) -> rooms.
-    """
-
-    init: Callable[[Key[Array, ""], SceneGraph], Params]
-    loss: Callable[[Params, Key[Array, ""], SceneGraph], tuple[Float[Array, ""], Terms]]
-    classify: Callable[[Params, Key[Array, ""], SceneGraph], Classified]
-    offset: Callable[[Params, SceneGraph, Int[Array, " N"]], Float[Array, "N 2"]]
-    rooms: Callable[[Pairs, np.ndarray], Rooms]
-
-
-def make_edge_classifier(config: ECSquareConfig | ECLConfig, scales: Scales) -> EdgeClassifier:
-    """Builds EC-square or EC-L, as the configuration says.
-
-    Args:
       config: sizes and options.
       scales: limits of the training set.
     """
-    if isinstance(config, ECSquareConfig):
-        return _make_ec_square(config, scales)
-    return _make_ec_l(config, scales)
 
+    config: ECSquareConfig
+    scales: Scales
 
-def _make_ec_square(config: ECSquareConfig, scales: Scales) -> EdgeClassifier:
-    network = EdgeBranchGAT(config.heads, config.width, config.decoder)
+    @property
+    def network(self) -> EdgeBranchGAT:
+        """The network of rooms, and that of walls."""
+        return EdgeBranchGAT(self.config.heads, self.config.width, self.config.decoder)
 
-    def init(key: Key[Array, ""], graph: SceneGraph) -> Params:
-        inputs = (*absolute_features(graph, scales), near_planes(graph))
-        of_room, of_wall = jax.random.split(key)
-        return {"room": network.init(of_room, *inputs), "wall": network.init(of_wall, *inputs)}
+    def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
+        """Draws initial parameters."""
+        inputs = (*absolute_features(graph, self.scales), near_planes(graph))
+        keys = dict(zip(("room", "wall"), jax.random.split(key), strict=True))
+        return {name: self.network.init(of_network, *inputs) for name, of_network in keys.items()}
 
-    def logits(params: Params, graph: SceneGraph) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
-        inputs = (*absolute_features(graph, scales), near_planes(graph))
-        return apply(network, params["room"], *inputs), apply(network, params["wall"], *inputs)
+    def _logits(
+        self, params: Params, graph: SceneGraph
+    ) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
+        inputs = (*absolute_features(graph, self.scales), near_planes(graph))
+        return (
+            apply(self.network, params["room"], *inputs),
+            apply(self.network, params["wall"], *inputs),
+        )
 
     def loss(
-        params: Params, key: Key[Array, ""], graph: SceneGraph
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
     ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the loss on a complete graph with proximity edges, and its terms."""
         angle = jax.random.uniform(key, maxval=2 * jnp.pi)
-        of_room, of_wall = logits(params, turned(graph, angle))
+        of_room, of_wall = self._logits(params, turned(graph, angle))
         near = near_planes(graph).mask
         error = optax.sigmoid_binary_cross_entropy
         terms = {
@@ -145,77 +192,112 @@ def _make_ec_square(config: ECSquareConfig, scales: Scales) -> EdgeClassifier:
         }
         return terms["room"] + terms["wall"], terms
 
-    def classify(params: Params, key: Key[Array, ""], graph: SceneGraph) -> Classified:
+    def classify(self, params: Params, key: Key[Array, ""], graph: SceneGraph) -> Classified:
+        """Classifies the edges of a padded graph."""
         near = near_planes(graph)
         reverse = reverse_of(near, graph.nodes.mask.shape[0])
         chosen = [
-            near.mask & ((both + both[reverse]) / 2 > config.threshold)
-            for both in logits(params, graph)
+            near.mask & ((both + both[reverse]) / 2 > self.config.threshold)
+            for both in self._logits(params, graph)
         ]
         return Classified(*chosen, certainty=jnp.ones(reverse.shape))
 
-    return EdgeClassifier(
-        init=init,
-        loss=loss,
-        classify=classify,
-        offset=_no_offset,
-        rooms=lambda pairs, certainty: rooms_by_cycles(pairs),
-    )
+    def offset(
+        self, params: Params, graph: SceneGraph, room: Int[Array, " N"]
+    ) -> Float[Array, "N 2"]:
+        """Returns zero: a room stands at the mean of its planes."""
+        return jnp.zeros((*room.shape, 2))
+
+    def rooms(self, pairs: Pairs, certainty: np.ndarray) -> Rooms:
+        """Returns the rooms along cycles of pairs."""
+        return rooms_by_cycles(pairs)
 
 
-def _make_ec_l(config: ECLConfig, scales: Scales) -> EdgeClassifier:
-    sizes = config.heads, config.node_width, config.edge_width, config.decoder
-    network = EdgeAttentionClassifier(*sizes, num_classes=3, dropout=config.dropout)
-    readout = RoomReadout(config.readout_width)
+@dataclasses.dataclass(frozen=True)
+class ECL(EdgeClassifier):
+    """EC-L.
 
-    def init(key: Key[Array, ""], graph: SceneGraph) -> Params:
+    Attributes:
+      config: sizes and options.
+      scales: limits of the training set.
+    """
+
+    config: ECLConfig
+    scales: Scales
+
+    @property
+    def network(self) -> EdgeAttentionClassifier:
+        """The network that classifies pairs."""
+        config = self.config
+        sizes = config.heads, config.node_width, config.edge_width, config.decoder
+        return EdgeAttentionClassifier(*sizes, num_classes=3, dropout=config.dropout)
+
+    @property
+    def readout(self) -> RoomReadout:
+        """The network that places rooms."""
+        return RoomReadout(self.config.readout_width)
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
+        """Draws initial parameters."""
         of_edges, of_rooms = jax.random.split(key)
-        inputs = (*relative_features(graph, scales), near_planes(graph))
+        inputs = (*relative_features(graph, self.scales), near_planes(graph))
         alone = jnp.full(graph.nodes.mask.shape, NO_ROOM)
         return {
-            "classifier": network.init(of_edges, *inputs),
-            "readout": readout.init(of_rooms, *_on_ground(graph), alone),
+            "classifier": self.network.init(of_edges, *inputs),
+            "readout": self.readout.init(of_rooms, *_on_ground(graph), alone),
         }
 
-    def logits(
-        params: Params, key: Key[Array, ""] | None, graph: SceneGraph
+    def _logits(
+        self, params: Params, key: Key[Array, ""] | None, graph: SceneGraph
     ) -> Float[Array, "E 3"]:
-        inputs = (*relative_features(graph, scales), near_planes(graph))
-        return apply(network, params["classifier"], *inputs, key)
+        inputs = (*relative_features(graph, self.scales), near_planes(graph))
+        return apply(self.network, params["classifier"], *inputs, key)
 
-    def offset(params: Params, graph: SceneGraph, room: Int[Array, " N"]) -> Float[Array, "N 2"]:
-        unit = scales.width_max
+    def offset(
+        self, params: Params, graph: SceneGraph, room: Int[Array, " N"]
+    ) -> Float[Array, "N 2"]:
+        """Returns, metres, from the mean of the planes of each room to its centroid."""
+        if self.config.room_centroids == "mean":
+            return jnp.zeros((*room.shape, 2))
+        return self._regressed(params, graph, room)
+
+    def _regressed(
+        self, params: Params, graph: SceneGraph, room: Int[Array, " N"]
+    ) -> Float[Array, "N 2"]:
+        unit = self.scales.width_max
         position, normal, width = _on_ground(graph)
-        return unit * apply(readout, params["readout"], position / unit, normal, width / unit, room)
+        inputs = position / unit, normal, width / unit, room
+        return unit * apply(self.readout, params["readout"], *inputs)
 
     def loss(
-        params: Params, key: Key[Array, ""], graph: SceneGraph
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
     ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the loss on a complete graph with proximity edges, and its terms."""
         truth = jnp.where(sharing(graph, WALL), SAME_WALL, NEITHER)
         truth = jnp.where(sharing(graph, ROOM), SAME_ROOM, truth)
-        error = optax.softmax_cross_entropy_with_integer_labels(logits(params, key, graph), truth)
+        logits = self._logits(params, key, graph)
+        error = optax.softmax_cross_entropy_with_integer_labels(logits, truth)
         room = _true_rooms(graph)
-        centroid = room_means(graph.nodes.position[:, :2], room) + offset(params, graph, room)
+        means = room_means(graph.nodes.position[:, :2], room)
+        centroid = means + self._regressed(params, graph, room)
         squared = jnp.sum((centroid - graph.nodes.position[:, :2]) ** 2, axis=-1)
         is_room = graph.nodes.mask & (graph.nodes.label == ROOM)
         terms = {"edge": _mean(error, near_planes(graph).mask), "centroid": _mean(squared, is_room)}
         return terms["edge"] + terms["centroid"], terms
 
-    def classify(params: Params, key: Key[Array, ""], graph: SceneGraph) -> Classified:
-        found = jnp.argmax(logits(params, None, graph), axis=-1)
+    def classify(self, params: Params, key: Key[Array, ""], graph: SceneGraph) -> Classified:
+        """Classifies the edges of a padded graph."""
+        found = jnp.argmax(self._logits(params, None, graph), axis=-1)
         near, certainty = near_planes(graph).mask, jnp.ones(found.shape)
-        if config.certainty_passes:
-            keys = jax.random.split(key, config.certainty_passes)
-            certainty = certainty_of(jax.vmap(lambda key: logits(params, key, graph))(keys))
+        if self.config.certainty_passes:
+            keys = jax.random.split(key, self.config.certainty_passes)
+            passes = jax.vmap(lambda key: self._logits(params, key, graph))(keys)
+            certainty = certainty_of(passes)
         return Classified(near & (found == SAME_ROOM), near & (found == SAME_WALL), certainty)
 
-    return EdgeClassifier(
-        init=init,
-        loss=loss,
-        classify=classify,
-        offset=offset if config.room_centroids == "regressed" else _no_offset,
-        rooms=rooms_by_communities,
-    )
+    def rooms(self, pairs: Pairs, certainty: np.ndarray) -> Rooms:
+        """Returns the communities of pairs."""
+        return rooms_by_communities(pairs, certainty)
 
 
 def certainty_of(logits: Float[Array, "passes E K"]) -> Float[Array, " E"]:
@@ -247,18 +329,14 @@ def sharing(graph: SceneGraph, concept: int) -> Bool[Array, " E"]:
 def _true_rooms(graph: SceneGraph) -> Int[Array, " N"]:
     """Returns the slot of the room of each plane, NO_ROOM for all that have none."""
     nodes = graph.nodes
-    plane, room = (nodes.mask & (nodes.label == concept) for concept in (PLANE, ROOM))
-    part_of = part_of_adjacency(graph) & room[None, :] & plane[:, None]
+    room = nodes.mask & (nodes.label == ROOM)
+    part_of = part_of_adjacency(graph) & room[None, :] & nodes.observed[:, None]
     return jnp.where(jnp.any(part_of, axis=-1), jnp.argmax(part_of, axis=-1), NO_ROOM)
 
 
 def _on_ground(graph: SceneGraph) -> tuple[Array, Array, Array]:
     """Returns position and normal of the nodes in the ground plane, and their width."""
     return graph.nodes.position[:, :2], graph.nodes.normal[:, :2], graph.nodes.width
-
-
-def _no_offset(params: Params, graph: SceneGraph, room: Int[Array, " N"]) -> Float[Array, "N 2"]:
-    return jnp.zeros((*room.shape, 2))
 
 
 def _mean(values: Float[Array, " K"], mask: Bool[Array, " K"]) -> Float[Array, ""]:
@@ -279,40 +357,7 @@ def target(graph: SceneGraph) -> SceneGraph:
             "edge classifiers know no concept above the room and are scored on floors, expected "
             "graphs without buildings or cities"
         )
-    keep = label != FLOOR
-    slot = np.cumsum(keep) - 1
-    edges = [undirected_edges(graph, relation) for relation in range(NUM_RELATIONS)]
-    proximity, part_of = (slot[pairs[keep[pairs].all(axis=-1)]] for pairs in edges)
-    fields = (np.asarray(field)[keep] for field in graph.nodes[:4])
-    return make_graph(*fields, part_of=part_of, proximity=proximity)
-
-
-def complete(
-    model: EdgeClassifier,
-    params: Params,
-    scenes: Sequence[SceneGraph],
-    seed: int = 0,
-    samples: int = 1,
-) -> list[list[Completion]]:
-    """Finds walls and rooms from the planes of host graphs, in compiled batches.
-
-    Args:
-      model: the classifier.
-      params: its parameters.
-      scenes: host graphs; everything but their planes is ignored.
-      seed: of the dropout that tells how certain a pair is; EC-square does not depend on it.
-      samples: graphs a scene.
-
-    Returns:
-      For every scene, in order, its samples: planes as given, then walls, then rooms, if any.
-    """
-
-    def complete_lanes(keys: Key[Array, " B"], planes: SceneGraph, lanes: Sequence[int]) -> Grown:
-        return _complete_lanes(model, params, keys, planes)
-
-    num_planes = [int(np.sum(scene.nodes.label == PLANE)) for scene in scenes]
-    capacities = [_capacity(number) for number in num_planes]
-    return complete_in_batches(complete_lanes, scenes, capacities, seed, samples)
+    return subgraph(graph, label != FLOOR)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -331,35 +376,6 @@ def offset_batch(
 ) -> Float[Array, "B N 2"]:
     """Returns the offset of each room's centroid from the mean of its planes, metres."""
     return jax.vmap(functools.partial(model.offset, params))(planes, room)
-
-
-def _capacity(num_planes: int) -> Capacity:
-    """Returns the bucket of a scene, with as many edges as nearest neighbours can be."""
-    nodes = bucket(num_planes).nodes
-    return Capacity(nodes, 2 * NEIGHBOURS * nodes)
-
-
-def _complete_lanes(
-    model: EdgeClassifier, params: Params, keys: Key[Array, " B"], planes: SceneGraph
-) -> Grown:
-    """Completes stacked scenes: networks on the device, rooms and walls on the host."""
-    connected, classified = classify_batch(model, params, keys, planes)
-    lanes = _unstacked((connected, classified))
-    found = [_rooms_and_walls(model, *lane) for lane in lanes]
-    room = np.full(planes.nodes.mask.shape, NO_ROOM)
-    for row, (rooms, _) in zip(room, found, strict=True):
-        for index, members in enumerate(rooms):
-            row[list(members)] = index
-    offset = np.asarray(offset_batch(model, params, planes, jnp.asarray(room)))
-    graphs = [
-        with_rooms_and_walls(observed_of(graph), rooms, walls, row[: len(rooms)])
-        for (graph, _), (rooms, walls), row in zip(lanes, found, offset, strict=True)
-    ]
-    capacity = Capacity(
-        max(len(graph.nodes.label) for graph in graphs), max(len(graph.senders) for graph in graphs)
-    )
-    steps = jnp.ones(len(graphs), jnp.int32)
-    return Grown(stack(graphs, capacity), ONE_SHOT * steps, steps)
 
 
 def _rooms_and_walls(

@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
+from sg3d_jax.scene.graph import SceneGraph, extended
 from sg3d_jax.scene.ontology import ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph
 
 Pairs = np.ndarray  # int[e, 2], undirected, each pair once
 Rooms = list[tuple[int, ...]]  # planes of each room, in increasing order
@@ -79,14 +79,8 @@ def with_rooms_and_walls(
     centroid = np.array(centroid).reshape(-1, 3)
     centroid[len(walls) :, :2] += offset
     part_of = [(plane, num_planes + i) for i, group in enumerate(groups) for plane in group]
-    new = len(groups)
-    return make_graph(
-        np.concatenate([nodes.label, [WALL] * len(walls), [ROOM] * len(rooms)]),
-        np.concatenate([nodes.position, centroid]),
-        np.pad(nodes.normal, [(0, new), (0, 0)]),
-        np.pad(nodes.width, (0, new)),
-        np.array(part_of, np.int32),
-    )
+    label = [WALL] * len(walls) + [ROOM] * len(rooms)
+    return extended(planes, label, centroid, np.array(part_of, np.int32))
 
 
 def _neighbours(pairs: Pairs) -> dict[int, set[int]]:

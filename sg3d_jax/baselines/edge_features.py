@@ -10,20 +10,21 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from sg3d_jax.nn.edge_attention import Links
 from sg3d_jax.nn.embed import safe_norm
-from sg3d_jax.scene.ontology import PLANE, PROXIMITY
 from sg3d_jax.scene.graph import Nodes, SceneGraph
+from sg3d_jax.scene.ontology import PROXIMITY
 
 
 class Scales(NamedTuple):
-    """Limits of the training set, metres."""
+    """Limits of the training set, metres: plain numbers, so that models hash."""
 
-    width_min: Array  # float[], of the planes
-    width_max: Array  # float[]
-    distance_max: Array  # float[], between the centroids of planes that are near
+    width_min: float  # of the planes
+    width_max: float
+    distance_max: float  # between the centroids of planes that are near
 
 
 def count_scales(stacks: Sequence[SceneGraph]) -> Scales:
@@ -33,21 +34,18 @@ def count_scales(stacks: Sequence[SceneGraph]) -> Scales:
       stacks: padded graphs with proximity edges, stacked along a first axis; one stack a size.
     """
 
-    def of_graph(graph: SceneGraph) -> Scales:
+    def of_graph(graph: SceneGraph) -> tuple[Array, Array, Array]:
         nodes, links = graph.nodes, near_planes(graph)
-        plane = nodes.mask & (nodes.label == PLANE)
         offset = nodes.position[links.senders] - nodes.position[links.receivers]
-        return Scales(
-            width_min=jnp.min(jnp.where(plane, nodes.width, jnp.inf)),
-            width_max=jnp.max(jnp.where(plane, nodes.width, 0.0)),
-            distance_max=jnp.max(jnp.where(links.mask, safe_norm(offset), 0.0)),
+        return (
+            jnp.min(jnp.where(nodes.observed, nodes.width, jnp.inf)),
+            jnp.max(jnp.where(nodes.observed, nodes.width, 0.0)),
+            jnp.max(jnp.where(links.mask, safe_norm(offset), 0.0)),
         )
 
     counted = [jax.jit(jax.vmap(of_graph))(graphs) for graphs in stacks]
-    width_min, width_max, distance_max = (
-        jnp.concatenate(limits) for limits in zip(*counted, strict=True)
-    )
-    return Scales(jnp.min(width_min), jnp.max(width_max), jnp.max(distance_max))
+    least, most, farthest = (np.concatenate(limits) for limits in zip(*counted, strict=True))
+    return Scales(float(least.min()), float(most.max()), float(farthest.max()))
 
 
 def near_planes(graph: SceneGraph) -> Links:

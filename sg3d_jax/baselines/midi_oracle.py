@@ -13,26 +13,25 @@ edges of the planes are clean: nothing is diffused but labels, edges and positio
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from sg3d_jax.diffusion import gaussian
-from sg3d_jax.diffusion.schedules import strided_times
+from sg3d_jax.diffusion.sampler import ancestral_sample
 from sg3d_jax.fill import digress, midi
 from sg3d_jax.fill.midi import Frame, MiDiConfig, Schedules
-from sg3d_jax.fill.protocol import Params, Statistics, frame_centre
-from sg3d_jax.flagg.removal import one_shot_capacity, one_shot_cut
-from sg3d_jax.flagg.grow import ONE_SHOT, Completion, Grown, complete_in_batches
+from sg3d_jax.fill.protocol import Params, Statistics, Terms
+from sg3d_jax.flagg.grow import ONE_SHOT, Grown
+from sg3d_jax.flagg.removal import Cut, extract_block, keep_nodes
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, OldGraphEncoder
-from sg3d_jax.scene.ontology import PLANE
-from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.scene.padding import append_block, bucket, without_proximity
+from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
+from sg3d_jax.scene.graph import PackedGraph, SceneGraph
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology
+from sg3d_jax.scene.padding import Capacity, append_block, bucket, without_proximity
 from sg3d_jax.scene.proximity import connect_observed
 
 
@@ -49,24 +48,6 @@ class MiDiOracleConfig(MiDiConfig):
     resamplings: int = 7
 
 
-class MiDiOracle(NamedTuple):
-    """The one-shot model: three pure functions on one padded graph.
-
-    Attributes:
-      init: (key, complete graph) -> params.
-      loss: (params, key, complete graph) -> (loss, terms).
-      sample: (params, key, planes, number of new nodes) -> the complete graph. The planes have room
-        for what is to come, their edges are ignored, and they stay as they are, bit for bit.
-    """
-
-    init: Callable[[Key[Array, ""], SceneGraph], Params]
-    loss: Callable[
-        [Params, Key[Array, ""], SceneGraph],
-        tuple[Float[Array, ""], dict[str, Float[Array, ""]]],
-    ]
-    sample: Callable[[Params, Key[Array, ""], SceneGraph, Int[Array, ""]], Grown]
-
-
 def inpaint(key: Key[Array, ""], planes: SceneGraph, frame: Frame, signal: Schedules) -> SceneGraph:
     """Replaces the positions of the planes by what the noise of one diffusion time leaves of them.
 
@@ -81,98 +62,190 @@ def inpaint(key: Key[Array, ""], planes: SceneGraph, frame: Frame, signal: Sched
     return planes._replace(nodes=planes.nodes._replace(position=position))
 
 
-def make_midi_oracle(config: MiDiOracleConfig, statistics: Statistics) -> MiDiOracle:
-    """Builds the one-shot model.
+@dataclasses.dataclass(frozen=True)
+class MiDiOracle:
+    """The one-shot model.
 
-    Args:
+    Attributes:
       config: sizes and steps.
       statistics: marginals and spread of positions, counted on one-shot cuts.
+      ontology: the concepts.
     """
-    sizes = config.encoder_width, config.encoder_layers, config.gates
-    encoder = OldGraphEncoder(*sizes, kin=config.kin, many_rows=True)
-    network, schedules = midi.make_network(config), midi.make_schedules(config)
 
-    def frame_of(planes: SceneGraph) -> Frame:
-        centre = frame_centre(planes.nodes.position, planes.nodes.mask)
-        return Frame(centre, statistics.position_std)
+    config: MiDiOracleConfig
+    statistics: Statistics
+    ontology: Ontology = PAPER_ONTOLOGY
 
-    def observe(
+    @property
+    def encoder(self) -> OldGraphEncoder:
+        """The encoder of the planes."""
+        config = self.config
+        sizes = config.encoder_width, config.encoder_layers, config.gates
+        return OldGraphEncoder(*sizes, kin=config.kin, many_rows=True)
+
+    @property
+    def network(self) -> RelaxedTransformer:
+        """The denoiser."""
+        return midi.make_network(self.config, self.ontology)
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
+        """Draws initial parameters, given any complete padded graph."""
+        keys, cut = jax.random.split(key), one_shot_cut(graph)
+        encoder_params = self.encoder.init(keys[0], cut.survivors)
+        conditioning = apply(self.encoder, encoder_params, cut.survivors)
+        block, centre = cut.block, midi.frame_of(cut.survivors, self.statistics).centre
+        inputs = block.mask, *digress.topology_of(block), block.position, jnp.zeros(())
+        return {
+            "encoder": encoder_params,
+            "denoiser": self.network.init(keys[1], conditioning, centre, *inputs),
+        }
+
+    def loss(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the loss on one complete padded graph with proximity edges, and its terms."""
+        cut, schedules = one_shot_cut(graph), midi.make_schedules(self.config)
+        frame = midi.frame_of(cut.survivors, self.statistics)
+
+        def at_one_level(key: Key[Array, ""]) -> Terms:
+            key_time, key_planes, key_noise = jax.random.split(key, 3)
+            time = jax.random.randint(key_time, (), 1, self.config.diffusion_steps + 1)
+            signal = schedules.at(time)
+            conditioning = self._observe(params, key_planes, cut.survivors, frame, signal)
+            inputs = conditioning, frame, cut.block, signal, time, self.statistics.marginals
+            return midi.losses(self.network, params["denoiser"], key_noise, *inputs)
+
+        terms = jax.vmap(at_one_level)(jax.random.split(key, self.config.noise_levels))
+        terms = {name: jnp.mean(values) for name, values in terms.items()}
+        return midi.total_loss(terms), terms
+
+    def sample(
+        self, params: Params, key: Key[Array, ""], planes: PackedGraph, num_new: Int[Array, ""]
+    ) -> Grown:
+        """Draws the complete graph of planes and so many new nodes.
+
+        Args:
+          params: parameters.
+          key: of all that is drawn.
+          planes: packed, with room for what is to come; their edges are ignored, and they stay as
+            they are, bit for bit.
+          num_new: how many nodes there are beside the planes.
+        """
+        planes = connect_observed(planes)
+        frame, schedules = midi.frame_of(planes, self.statistics), midi.make_schedules(self.config)
+        block_mask = jnp.arange(one_shot_capacity(planes.nodes.mask.shape[0])) < num_new
+        masks, marginals = (block_mask, planes.nodes.mask), self.statistics.marginals
+        num_draws = self.config.resamplings + 1
+
+        def step(key: Array, noisy: midi.State, now: Array, then: Array) -> midi.State:
+            signal, signal_next = schedules.at(now), schedules.at(then)
+            ratio = Schedules(*(low / high for low, high in zip(signal, signal_next, strict=True)))
+
+            def draw(noisy: midi.State, key: Key[Array, ""]) -> tuple[midi.State, midi.State]:
+                key_planes, key_draw, key_undo = jax.random.split(key, 3)
+                known = self._observe(params, key_planes, planes, frame, signal), frame, block_mask
+                predicted = midi.denoise(
+                    self.network, params["denoiser"], *known, noisy, signal, now
+                )
+                drawn = midi.reverse_step(
+                    key_draw, noisy, predicted, signal_next, signal, *masks, marginals
+                )
+                return midi.add_noise(key_undo, drawn, ratio, *masks, marginals), drawn
+
+            _, drawn = jax.lax.scan(draw, noisy, jax.random.split(key, num_draws))
+            return jax.tree.map(lambda leaf: leaf[-1], drawn)
+
+        key_start, key_steps = jax.random.split(key)
+        start = midi.draw_start(key_start, *masks, marginals)
+        times = self.config.diffusion_steps, self.config.sampling_steps
+        state = ancestral_sample(step, start, key_steps, *times)
+        graph, _ = append_block(_with_room(planes), midi.to_block(state, frame, block_mask))
+        return Grown(without_proximity(graph), jnp.asarray(ONE_SHOT), jnp.asarray(1))
+
+    def _observe(
+        self,
         params: Params,
         key: Key[Array, ""],
         planes: SceneGraph,
         frame: Frame,
         signal: Schedules,
     ) -> Conditioning:
-        return apply(encoder, params["encoder"], inpaint(key, planes, frame, signal))
+        return apply(self.encoder, params["encoder"], inpaint(key, planes, frame, signal))
 
-    def init(key: Key[Array, ""], graph: SceneGraph) -> Params:
-        keys, cut = jax.random.split(key), one_shot_cut(graph)
-        encoder_params = encoder.init(keys[0], cut.survivors)
-        conditioning = apply(encoder, encoder_params, cut.survivors)
-        block, centre = cut.block, frame_of(cut.survivors).centre
-        inputs = block.mask, *digress.topology_of(block), block.position, jnp.zeros(())
-        return {
-            "encoder": encoder_params,
-            "denoiser": network.init(keys[1], conditioning, centre, *inputs),
-        }
+    def capacity(self, num_observed: int, num_missing: int) -> Capacity:
+        """Returns the bucket of a scene: its new nodes take at most half of it.
 
-    def loss(
-        params: Params, key: Key[Array, ""], graph: SceneGraph
-    ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-        cut = one_shot_cut(graph)
-        frame = frame_of(cut.survivors)
+        Raises:
+          ValueError: there is nothing beside the planes, so that there is no number to be told.
+        """
+        if not num_missing:
+            raise ValueError(
+                "a scene has planes alone, expected a complete graph: MiDi+Or must be told how "
+                "many nodes there are"
+            )
+        return bucket(max(num_observed + num_missing, 2 * num_missing))
 
-        def at_one_level(key: Key[Array, ""]) -> dict[str, Float[Array, ""]]:
-            key_time, key_planes, key_noise = jax.random.split(key, 3)
-            time = jax.random.randint(key_time, (), 1, config.diffusion_steps + 1)
-            signal = schedules.at(time)
-            conditioning = observe(params, key_planes, cut.survivors, frame, signal)
-            inputs = conditioning, frame, cut.block, signal, time, statistics
-            return midi.losses(network, params["denoiser"], key_noise, *inputs)
-
-        terms = jax.vmap(at_one_level)(jax.random.split(key, config.noise_levels))
-        terms = {name: jnp.mean(values) for name, values in terms.items()}
-        return midi.total_loss(terms), terms
-
-    def sample(
-        params: Params, key: Key[Array, ""], planes: SceneGraph, num_new: Int[Array, ""]
+    @functools.partial(jax.jit, static_argnums=0)
+    def complete_lanes(
+        self,
+        params: Params,
+        keys: Key[Array, " B"],
+        given: PackedGraph,
+        num_missing: Int[Array, " B"],
     ) -> Grown:
-        planes = connect_observed(planes)
-        frame = frame_of(planes)
-        block_mask = jnp.arange(one_shot_capacity(planes.nodes.mask.shape[0])) < num_new
-        masks = block_mask, planes.nodes.mask
-        num_draws = config.resamplings + 1
-
-        def step(noisy: midi.State, inputs: tuple[Array, Array, Array]) -> tuple[midi.State, None]:
-            key, now, then = inputs
-            signal, signal_next = schedules.at(now), schedules.at(then)
-            ratio = Schedules(*(low / high for low, high in zip(signal, signal_next, strict=True)))
-
-            def draw(noisy: midi.State, key: Key[Array, ""]) -> tuple[midi.State, midi.State]:
-                key_planes, key_draw, key_undo = jax.random.split(key, 3)
-                conditioning = observe(params, key_planes, planes, frame, signal)
-                known = conditioning, frame, block_mask
-                predicted = midi.denoise(network, params["denoiser"], *known, noisy, signal, now)
-                drawn = midi.reverse_step(
-                    key_draw, noisy, predicted, signal_next, signal, *masks, statistics
-                )
-                return midi.add_noise(key_undo, drawn, ratio, *masks, statistics), drawn
-
-            _, drawn = jax.lax.scan(draw, noisy, jax.random.split(key, num_draws))
-            return jax.tree.map(lambda leaf: leaf[-1], drawn), None
-
-        key_start, key_steps = jax.random.split(key)
-        times = strided_times(config.diffusion_steps, config.sampling_steps)
-        keys = jax.random.split(key_steps, config.sampling_steps)
-        start = midi.draw_start(key_start, *masks, statistics)
-        state, _ = jax.lax.scan(step, start, (keys, times[:-1], times[1:]))
-        graph, _ = append_block(_with_room(planes), midi.to_block(state, frame, block_mask))
-        return Grown(without_proximity(graph), jnp.asarray(ONE_SHOT), jnp.asarray(1))
-
-    return MiDiOracle(init, loss, sample)
+        """Completes a stack of planes, each told how many nodes are missing."""
+        return jax.vmap(functools.partial(self.sample, params))(keys, given, num_missing)
 
 
-def _with_room(planes: SceneGraph) -> SceneGraph:
+def one_shot_cut(graph: SceneGraph) -> Cut:
+    """Cuts a complete graph down to its planes: all other nodes are one block, in their order.
+
+    Args:
+      graph: padded and complete, `N` nodes of capacity.
+
+    Returns:
+      The cut; its block has room for `one_shot_capacity(N)` nodes. See `check_one_shot`.
+
+    Source: FLAGG's one-shot schedule, T = 1.
+    """
+    nodes = graph.nodes
+    high = nodes.mask & ~nodes.observed
+    num_nodes, num_high = nodes.mask.shape[0], jnp.sum(high, dtype=jnp.int32)
+    rank = jnp.where(high, jnp.cumsum(high, dtype=jnp.int32) - 1, -1)
+    rank = jnp.where(nodes.mask, rank, num_nodes)
+    capacity = one_shot_capacity(num_nodes)
+    return Cut(
+        survivors=keep_nodes(graph, rank < 0),
+        block=extract_block(graph, rank, jnp.asarray(0), num_high, capacity),
+        insert_probs=jnp.ones(1),
+        complete=num_high == 0,
+        has_block=num_high > 0,
+        inserted=jnp.asarray(False),
+    )
+
+
+def one_shot_capacity(num_nodes: int) -> int:
+    """Returns the room for new nodes in a graph of N slots: half of it, the rest is planes."""
+    return num_nodes // 2
+
+
+def check_one_shot(stacks: Sequence[SceneGraph]) -> None:
+    """Refuses stacks of padded graphs that have no room for their other nodes in one block.
+
+    Raises:
+      ValueError: one sentence with the numbers, and what to change.
+    """
+    for graphs in stacks:
+        nodes, room = graphs.nodes, one_shot_capacity(graphs.nodes.mask.shape[-1])
+        most = int(jnp.max(jnp.sum(nodes.mask & ~nodes.observed, axis=-1)))
+        if most > room:
+            raise ValueError(
+                f"a graph in the bucket of {nodes.mask.shape[-1]} nodes has {most} that are not "
+                f"planes, expected at most {room}: leave this bucket out of capacities"
+            )
+
+
+def _with_room(planes: PackedGraph) -> PackedGraph:
     """Appends slots for every edge that a block can have, so that none is lost."""
     num_nodes = planes.nodes.mask.shape[0]
     num_block = one_shot_capacity(num_nodes)
@@ -187,54 +260,3 @@ def _with_room(planes: SceneGraph) -> SceneGraph:
         receivers=widen(planes.receivers),
         n_edge=planes.n_edge + jnp.asarray([0, slots]),
     )
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _sample_batch(
-    model: MiDiOracle,
-    params: Params,
-    keys: Key[Array, " B"],
-    planes: SceneGraph,
-    num_new: Int[Array, " B"],
-) -> Grown:
-    return jax.vmap(functools.partial(model.sample, params))(keys, planes, num_new)
-
-
-def complete(
-    model: MiDiOracle,
-    params: Params,
-    scenes: Sequence[SceneGraph],
-    seed: int = 0,
-    samples: int = 1,
-) -> list[list[Completion]]:
-    """Completes scene graphs from the planes of host graphs, in compiled batches.
-
-    Args:
-      model: the one-shot model.
-      params: its parameters.
-      scenes: complete host graphs; the oracle counts their high-level nodes, everything else but
-        their planes is ignored.
-      seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
-      samples: graphs a scene.
-
-    Returns:
-      For every scene, in order, its samples, with the halt reason "ONE_SHOT".
-
-    Raises:
-      ValueError: a scene has nothing beside its planes, so that there is no number to be told.
-    """
-    num_new = np.array([int(np.sum(scene.nodes.label != PLANE)) for scene in scenes])
-    if not num_new.all():
-        raise ValueError(
-            f"scene {int(np.argmin(num_new))} has planes alone, expected a complete graph: "
-            "MiDi+Or must be told how many nodes there are"
-        )
-    capacities = [
-        bucket(max(len(scene.nodes.label), 2 * number))
-        for scene, number in zip(scenes, num_new.tolist(), strict=True)
-    ]
-
-    def sample_lanes(keys: Key[Array, " B"], planes: SceneGraph, lanes: Sequence[int]) -> Grown:
-        return _sample_batch(model, params, keys, planes, jnp.asarray(num_new[list(lanes)]))
-
-    return complete_in_batches(sample_lanes, scenes, capacities, seed, samples)

@@ -1,6 +1,7 @@
 """The command line: `sg3d complete | view | export | train | evaluate | table | sheet | data`.
 
-Every command delegates. A refusal is one sentence on stderr and exit code 2, with nothing written.
+Every command delegates. A refusal is one sentence on stderr and exit code 2, with nothing written;
+with SG3D_DEBUG=1 in the environment it is a traceback instead.
 """
 
 import os
@@ -35,6 +36,8 @@ def main(arguments: list[str] | None = None) -> None:
             case _:
                 app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
     except (ValueError, OverflowError, OSError, FloatingPointError) as error:
+        if os.environ.get("SG3D_DEBUG"):
+            raise
         print(f"sg3d: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:

@@ -1,6 +1,7 @@
 """What the commands share: how arguments look, and what is refused before any work is done."""
 
 import os
+import runpy
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -9,6 +10,7 @@ import tyro
 Positional = tyro.conf.Positional
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, tyro.conf.arg(aliases=["-o"])]
+Code = tuple[Path, ...]
 
 PICTURES: Final = (".png", ".pdf", ".svg")
 PAGES: Final = (".html",)
@@ -28,6 +30,14 @@ def read(source: str, index: int | None = None, count: int | None = None) -> lis
     if not 0 <= index < len(graphs):
         raise ValueError(f"{source}: --index must be in 0..{len(graphs) - 1}, got {index}")
     return [graphs[index]]
+
+
+def run_code(files: Code) -> None:
+    """Runs Python files of the user's, which register methods of their own."""
+    for path in files:
+        if not path.is_file():
+            raise ValueError(f"{path}: no such file, expected Python that calls sg.register_fill")
+        runpy.run_path(str(path))
 
 
 def check_at_least(option: str, value: int, least: int) -> None:

@@ -35,33 +35,44 @@ def make(
       num_graphs: how many; as many as the paper has by default.
       seed: another seed gives other graphs.
     """
-    from sg3d_jax.data import registry, schema
+    from sg3d_jax.data import registry
+    from sg3d_jax.io import npz
 
     check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
     check_at_least("--seed", seed, 0)
     check_output(output, (".npz",))
     graphs = registry.make(name, num_graphs, seed)
-    schema.save(output, graphs, registry.header(name, seed))
+    npz.save(output, graphs, registry.header(name, seed))
     print(f"{output}: {counted(len(graphs))}")
 
 
 @app.command(name="import")
-def import_(name: Positional[str], source: Positional[Path], output: Output, seed: int = 0) -> None:
+def import_(
+    name: Positional[str],
+    source: Positional[Path],
+    output: Output,
+    seed: int = 0,
+    like: str | None = None,
+) -> None:
     """Make a data set from a file that you have.
 
     Args:
-      name: which one, such as m-f; `sg3d data describe` lists them.
-      source: the published zip or pickle (s-, m-, r-), the CSV of the MSD release (m-), floor plans
-        as JSON Lines (p-), or graphs in any format.
+      name: a known one, such as m-f (`sg3d data describe` lists them), or any other name for a data
+        set of your own.
+      source: graphs in any format; for known names also the published zip or pickle (s-, m-, r-),
+        the CSV of the MSD release (m-), floor plans as JSON Lines (p-).
       output: the npz file to write.
       seed: of rotations, of buildings that are put together, and of the split by building.
+      like: for a name of your own, a known data set: the file is read as that one's files are, such
+        as floor plans like p-f, and its highest concept is checked.
     """
-    from sg3d_jax.data import registry, schema
+    from sg3d_jax.data import registry
+    from sg3d_jax.io import npz
 
     check_at_least("--seed", seed, 0)
     check_output(output, (".npz",))
-    graphs, header = registry.import_file(name, source, seed)
-    schema.save(output, graphs, header)
+    graphs, header = registry.import_file(name, source, seed, like)
+    npz.save(output, graphs, header)
     print(f"{output}: {counted(len(graphs))}")
     left_out = header.get("left_out", [])
     for reason in left_out[:3]:
@@ -91,7 +102,8 @@ def describe(
     loaded = {name: registry.load(name) for name in names}
     summaries = {name: statistics(dataset.graphs) for name, dataset in loaded.items()}
     known = {name: str(dataset.header.get("name")) for name, dataset in loaded.items()}
-    _print_statistics(summaries, known)
+    concepts = [name for dataset in loaded.values() for name in _concepts(dataset.graphs)]
+    _print_statistics(summaries, known, [*dict.fromkeys(concepts)])
     if output is not None:
         with replacing(output) as temporary:
             temporary.write_text(json.dumps(summaries, indent=2) + "\n")
@@ -158,21 +170,29 @@ def _print_data_sets() -> None:
     Console().print(table)
 
 
-def _print_statistics(summaries: dict[str, dict[str, Any]], known: dict[str, str]) -> None:
+def _concepts(graphs: list[Any]) -> list[str]:
+    """Returns the names of the concepts of some graphs, those that do not occur among them, too."""
+    from sg3d_jax.scene.graph import ontology_of
+
+    return [name for graph in graphs for name in ontology_of(graph).names]
+
+
+def _print_statistics(
+    summaries: dict[str, dict[str, Any]], known: dict[str, str], concepts: list[str]
+) -> None:
     """Shows the columns of the paper's table of data sets, the paper's figures in brackets."""
     from sg3d_jax.data.registry import DATASETS
-    from sg3d_jax.scene.ontology import CONCEPTS
 
     table = Table(title=r"Means over graphs \[the paper's]")
     table.add_column("data set")
-    for column in ("graphs", "|V|", "|E|", "degree", *CONCEPTS):
+    for column in ("graphs", "|V|", "|E|", "degree", *concepts):
         table.add_column(column, justify="right")
     for name, summary in summaries.items():
         paper = DATASETS[known[name]].paper if known[name] in DATASETS else None
         stated = ("", "", "", "") if paper is None else [rf" \[{value:g}]" for value in paper]
         ours = [str(summary["num_graphs"])]
         ours += [f"{summary[column]['mean']:.1f}" for column in ("nodes", "edges", "degree")]
-        counts = [summary["concepts"].get(concept) for concept in CONCEPTS]
+        counts = [summary["concepts"].get(concept) for concept in concepts]
         shown = ["" if count is None else f"{count['mean']:.2f}" for count in counts]
         columns = [mine + theirs for mine, theirs in zip(ours, stated, strict=True)]
         table.add_row(name, *columns, *shown)

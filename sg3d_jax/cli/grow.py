@@ -9,10 +9,12 @@ import tyro
 
 from sg3d_jax.cli.arguments import (
     PICTURES,
+    Code,
     Output,
     Positional,
     check_at_least,
     check_output,
+    run_code,
 )
 
 DEFAULT_WEIGHTS: Final = "fd4-s-f"
@@ -28,6 +30,9 @@ def complete(
     seed: int = 0,
     weights: str = DEFAULT_WEIGHTS,
     diffusion_steps: int | None = None,
+    keep: bool = False,
+    lanes: int | None = None,
+    code: Code = (),
 ) -> None:
     """Complete the scene graph of observed planes.
 
@@ -40,21 +45,36 @@ def complete(
       seed: another seed draws other samples.
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
+      keep: take everything in the file as given, such as rooms that are known, and grow on.
+      lanes: scenes grown together; the results do not depend on it.
+      code: Python files to run first, which register the methods of your own weights.
     """
-    from sg3d_jax.io.formats import check_writable, read_graphs, read_planes, write_graphs
-    from sg3d_jax.train import models
+    from sg3d_jax.infer.complete import complete as complete_scenes
+    from sg3d_jax.io.formats import check_writable, read_graphs, write_graphs
     from sg3d_jax.viz.figure import save_picture
 
     check_at_least("--samples", samples, 1)
     check_at_least("--candidates", candidates, 1)
+    check_at_least("--lanes", 1 if lanes is None else lanes, 1)
     check_at_least("--seed", seed, 0)
     check_output(output, GRAPHS)
     check_output(picture, PICTURES)
-    read_planes(planes)  # refuses what no method can complete
-    scenes = read_graphs(planes)  # whole: MiDi+Or counts their nodes
+    scenes = read_graphs(planes)
     check_writable(output, len(scenes) * samples, "json")
+    run_code(code)
     trained = _trained(weights, diffusion_steps)
-    grown = models.complete(trained.model, trained.params, scenes, seed, samples, candidates)
+    names = [f"{planes}: graph {index}" for index in range(len(scenes))]
+    grown = complete_scenes(
+        trained.model,
+        trained.params,
+        scenes,
+        seed,
+        samples,
+        candidates,
+        keep,
+        lanes,
+        names=names if len(scenes) > 1 else [f"{planes}"],
+    )
     extras = [
         {
             "halt_reason": completion.halt_reason,
@@ -63,6 +83,9 @@ def complete(
             "seed": seed,
             "scene": scene,
             "sample": index,
+            "observed": _plain(completion.observed),
+            "kept": _plain(completion.kept),
+            "grown": _plain(completion.grown),
         }
         for scene, completions in enumerate(grown)
         for index, completion in enumerate(completions)
@@ -113,19 +136,25 @@ def _trained(weights: str, diffusion_steps: int | None) -> Any:
     return trained if diffusion_steps is None else with_diffusion_steps(trained, diffusion_steps)
 
 
+def _plain(rows: dict[str, Any]) -> dict[str, list[int]]:
+    """Returns the rows of each concept as JSON values."""
+    return {concept: of_concept.tolist() for concept, of_concept in rows.items()}
+
+
 def _say_what_was_grown(output: Path, graphs: list, extras: list[dict[str, Any]]) -> None:
     """Prints what was written, and every graph that did not come to its end."""
-    from sg3d_jax.scene.ontology import CONCEPTS
+    from sg3d_jax.infer.complete import INCOMPLETE
+    from sg3d_jax.scene.graph import ontology_of
 
     for graph, extra in zip(graphs[:8], extras, strict=False):
-        labels = [CONCEPTS[label] for label in graph.nodes.label]
-        counts = [f"{labels.count(c)} {c}{'s' * (labels.count(c) != 1)}" for c in CONCEPTS]
-        shown = ", ".join(text for text in counts if not text.startswith("0 "))
+        labels = graph.nodes.label.tolist()
+        counts = [(labels.count(i), c) for i, c in enumerate(ontology_of(graph).concepts)]
+        shown = ", ".join(f"{n} {c.name if n == 1 else c.layer.lower()}" for n, c in counts if n)
         print(f"{output}: scene {extra['scene']} sample {extra['sample']}: {shown}")
     if len(graphs) > 8:
         print(f"{output}: {len(graphs)} graphs in all")
     for extra in extras:
-        if extra["halt_reason"] not in ("HALTED", "ONE_SHOT"):
+        if extra["halt_reason"] in INCOMPLETE:
             print(
                 f"sg3d: warning: scene {extra['scene']} sample {extra['sample']} stopped by "
                 f"{extra['halt_reason']}, so its graph is incomplete",

@@ -12,12 +12,14 @@ from rich.table import Table
 
 from sg3d_jax.cli.arguments import (
     PICTURES,
+    Code,
     OptionalOutput,
     Output,
     Positional,
     check_at_least,
     check_output,
     counted,
+    run_code,
 )
 from sg3d_jax.cli.provenance import provenance
 from sg3d_jax.io.files import read_documents, replacing
@@ -35,6 +37,7 @@ def evaluate(
     output: OptionalOutput = None,
     row: Path | None = None,
     sheet: Path | None = None,
+    code: Code = (),
 ) -> None:
     """Complete the scenes of a split from their planes and score them against the truth.
 
@@ -51,10 +54,11 @@ def evaluate(
       output: also write everything as JSON, for `sg3d table`.
       row: also write the scores as a CSV file of one row.
       sheet: also draw the worst scenes of the first seed, the truth above what was made.
+      code: Python files to run first, which register the methods of your own weights.
     """
     from sg3d_jax.metrics.report import score, summary
     from sg3d_jax.train.dataset import load_split
-    from sg3d_jax.train.evaluation import load_method
+    from sg3d_jax.train.evaluation import load_contender
 
     check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
     check_at_least("--seeds", min(seeds, default=-1), 0)
@@ -62,7 +66,8 @@ def evaluate(
     check_output(output, (".json",))
     check_output(row, (".csv",))
     check_output(sheet, PICTURES)
-    chosen = load_method(method, data, diffusion_steps, candidates)
+    run_code(code)
+    chosen = load_contender(method, data, diffusion_steps, candidates)
     scenes = load_split(chosen.data, split, chosen.name)[:num_graphs]
     truth = [chosen.target(scene) for scene in scenes]
     made, seconds = [], []
@@ -141,7 +146,7 @@ def sheet(
       seed: of the samples.
     """
     from sg3d_jax.train.dataset import load_split
-    from sg3d_jax.train.evaluation import load_method
+    from sg3d_jax.train.evaluation import load_contender
     from sg3d_jax.viz.figure import contact_sheet
 
     check_at_least("the number of methods", len(methods), 1)
@@ -149,7 +154,7 @@ def sheet(
     check_at_least("--first", first, 0)
     check_at_least("--seed", seed, 0)
     check_output(output, PICTURES)
-    chosen = [load_method(method, data) for method in methods]
+    chosen = [load_contender(method, data) for method in methods]
     source, *others = (method.data for method in chosen)
     for name, other in zip(methods[1:], others, strict=True):
         if other != source:

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.ontology import BUILDING, CITY, CONCEPTS, FLOOR, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph
+from sg3d_jax.scene.graph import Array, SceneGraph, make_graph
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 
 BUILDING_ABOVE_FLOOR: Final = 2.0  # metres above the highest floor of the building
 CITY_ABOVE_BUILDING: Final = 4.0  # metres above the highest building node
@@ -136,15 +136,13 @@ def _boxes_meet(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((gap <= 2 * CLEARANCE).all())
 
 
-def city_graph(
-    buildings: Sequence[Building], top: int = CITY, proximity: np.ndarray | None = None
-) -> SceneGraph:
+def city_graph(buildings: Sequence[Building], top: int = CITY, proximity: Array = ()) -> SceneGraph:
     """Turns buildings into a scene graph.
 
     Args:
       buildings: what stands there; one with one storey for a floor.
       top: highest concept of the graph: FLOOR, BUILDING or CITY.
-      proximity: int[e, 2], pairs of planes, counted through all storeys; None for none.
+      proximity: int[e, 2], pairs of planes, counted through all storeys.
 
     Returns:
       Planes, walls, rooms, floors, buildings and the city, in this order, float64. Planes, walls,
@@ -171,9 +169,8 @@ def city_graph(
         _above(building, CITY_ABOVE_BUILDING)[None],
     ][: top + 1]
     if len(layers[top]) != 1:
-        raise ValueError(
-            f"{len(layers[top])} {CONCEPTS[top]} nodes, expected one as the highest of a graph"
-        )
+        held = f"{len(layers[top])} {PAPER_ONTOLOGY.names[top]} nodes"
+        raise ValueError(f"{held}, expected one as the highest of a graph")
     sizes = [len(layer) for layer in layers]
     first = _first(sizes)
     links = _links(storeys, building_of_floor)

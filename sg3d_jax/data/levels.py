@@ -19,8 +19,8 @@ import numpy as np
 
 from sg3d_jax.data.buildings import Building, Storey, city_graph, move, outline, place
 from sg3d_jax.data.splits import split_groups
-from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR
 
 STOREY_HEIGHT: Final = 4.0  # metres
 NUM_STOREYS: Final = 2

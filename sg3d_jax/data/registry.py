@@ -2,7 +2,8 @@
 
 A synthetic set is generated in memory, in seconds, so that nothing has to be downloaded or kept.
 The others are made from a file that the user has (`import_file`) and kept in the format of
-`schema`, which is also what any other data set is read from.
+`io.npz`, which is also what any other data set is read from. A data set of the user's own may have
+any name.
 """
 
 from collections.abc import Mapping
@@ -12,11 +13,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-from sg3d_jax.data import schema, synthetic
-from sg3d_jax.io.npz import Dataset
+from sg3d_jax.data import synthetic
 from sg3d_jax.data.synthetic import CityConfig, SyntheticConfig
-from sg3d_jax.scene.ontology import BUILDING, CITY, CONCEPTS, FLOOR
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.io import npz
+from sg3d_jax.io.npz import Dataset
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PAPER_ONTOLOGY
 from sg3d_jax.scene.validate import validate_graph
 
 
@@ -54,7 +56,7 @@ class DatasetSpec:
     @property
     def levels(self) -> tuple[str, ...]:
         """The concepts that its graphs have, bottom-up."""
-        return CONCEPTS[: self.top + 1]
+        return PAPER_ONTOLOGY.names[: self.top + 1]
 
 
 _SYNTHETIC: Final = (
@@ -65,6 +67,7 @@ _MSD: Final = (
     "Floor plans of Modified Swiss Dwellings: the authors' published file, or the release itself."
 )
 _RECORDED: Final = "Planes that a robot recorded, hierarchy by hand: the authors' published file."
+_OWN: Final = "The user's own file."
 _FLOOR_PLANS: Final = "Real floor plans (room polygons) that the user passes; not in the paper."
 
 _SEEDED: Final = "60/20/20 by graph, seeded permutation"
@@ -149,7 +152,7 @@ def make(name: str, num_graphs: int | None = None, seed: int = 0) -> list[SceneG
 
 
 def header(name: str, seed: int = 0) -> dict[str, object]:
-    """Returns what a file of a generated data set says about itself, for `schema.save`.
+    """Returns what a file of a generated data set says about itself, for `npz.save`.
 
     Raises:
       ValueError: unknown name, or a set that is made from a file.
@@ -165,46 +168,61 @@ def header(name: str, seed: int = 0) -> dict[str, object]:
     }
 
 
-def import_file(name: str, path: str | Path, seed: int = 0) -> Dataset:
+def import_file(name: str, path: str | Path, seed: int = 0, like: str | None = None) -> Dataset:
     """Makes a data set from a user's file.
 
     Args:
-      name: one of `DATASETS`.
+      name: one of `DATASETS`, whose files are as below; or any other, for a data set of the user's
+        own: graphs in any format of `formats`.
       path: the authors' published file (.zip, .pkl) for S-, M- and R- sets; the MSD release (.csv)
         for M- sets; floor plans (.jsonl, .jsonl.gz) for P- sets; or graphs in any format of
         `formats`.
       seed: of what is drawn: rotations, buildings that are put together, the split by building.
+      like: for a name of the user's own, the one of `DATASETS` as whose files this one is read and
+        checked.
 
     Returns:
-      Graphs and header, for `schema.save`. The header states the part of each graph where floors
-      of one building occur in several graphs, and for sets that are only for test; what each was
-      made from (`origins`); and why floors of the file are not among them (`left_out`).
+      Graphs and header, for `npz.save`. The header states the part of each graph where floors of
+      one building occur in several graphs, and for sets that are only for test; what each was made
+      from (`origins`); and why floors of the file are not among them (`left_out`).
 
     Raises:
-      ValueError: unknown name, or a file that does not hold such graphs.
+      ValueError: a known name is to be like another, `like` is unknown, or the file does not hold
+        such graphs.
     """
-    from sg3d_jax.data import floorplan, formats, levels, msd  # they bring shapely and networkx
+    from sg3d_jax.data import floorplan, levels, msd  # they bring shapely
+    from sg3d_jax.io.formats import read_graphs  # brings networkx
 
-    spec, path = get(name), Path(path)
-    about: dict[str, Any] = {"name": name, "source": spec.provenance, "file": path.name}
-    is_release = name.startswith("m-") and path.suffix.lower() == ".csv"
-    if not (is_release or name.startswith("p-")):
-        graphs = formats.read_graphs(path)
-        parts = {"parts": ["test"] * len(graphs)} if name.startswith("r-") else {}
+    if name in DATASETS and like is not None:
+        raise ValueError(f"{name} is read as its own files are, expected another name, or no like")
+    path, kind = Path(path), name if name in DATASETS else like
+    spec = None if kind is None else get(kind)
+    about: dict[str, Any] = {"name": name, "source": _OWN, "file": path.name}
+    about |= {"like": like} if like else {"source": spec.provenance} if spec else {}
+    if kind is None or spec is None:
+        return Dataset(read_graphs(path), about)
+    is_release = kind.startswith("m-") and path.suffix.lower() == ".csv"
+    if not (is_release or kind.startswith("p-")):
+        graphs = read_graphs(path)
+        parts = {"parts": ["test"] * len(graphs)} if kind.startswith("r-") else {}
         return _checked(spec, Dataset(graphs, about | parts), path)
     floors, left_out = (msd if is_release else floorplan).read_floors(path)
-    graphs, parts, origins = levels.LEVELS[CONCEPTS[spec.top]](floors, seed, rotate=not is_release)
+    level = levels.LEVELS[spec.levels[-1]]
+    graphs, parts, origins = level(floors, seed, rotate=not is_release)
     stated = {"seed": seed, "parts": parts, "origins": origins, "left_out": left_out}
     return _checked(spec, Dataset(graphs, about | stated), path)
 
 
 def _checked(spec: DatasetSpec, dataset: Dataset, path: Path) -> Dataset:
-    """Refuses a data set whose graphs have another highest concept than it should."""
+    """Refuses a data set whose graphs have other concepts, or another highest, than it should."""
     for index, graph in enumerate(dataset.graphs):
+        if ontology_of(graph) != PAPER_ONTOLOGY:
+            problem = f"has another ontology, expected the paper's as in {spec.title}"
+            raise ValueError(f"{path}: graph {index} {problem}")
         if (top := int(graph.nodes.label.max())) != spec.top:
             raise ValueError(
-                f"{path}: graph {index} reaches up to a {CONCEPTS[top]}, expected a "
-                f"{CONCEPTS[spec.top]} as in {spec.title}"
+                f"{path}: graph {index} reaches up to a {PAPER_ONTOLOGY.names[top]}, expected a "
+                f"{spec.levels[-1]} as in {spec.title}"
             )
     return dataset
 
@@ -224,11 +242,11 @@ def load(name_or_path: str | Path, num_graphs: int | None = None, seed: int = 0)
     if is_name(name):
         return Dataset(make(name, num_graphs, seed), header(name, seed))
     if path.suffix.lower() == ".npz":
-        graphs, about = schema.load(path)
+        graphs, about = npz.load(path)
     else:
-        from sg3d_jax.data import formats
+        from sg3d_jax.io.formats import read_graphs
 
-        graphs, about = formats.read_graphs(path), {}
+        graphs, about = read_graphs(path), {}
         for index, graph in enumerate(graphs):
             validate_graph(graph, f"{path}: graph {index}")
     lists = {key: about[key] for key in ("parts", "origins") if isinstance(about.get(key), list)}

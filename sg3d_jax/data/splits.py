@@ -69,7 +69,7 @@ def split_of(header: Mapping[str, Any], num_graphs: int, seed: int = 0) -> Split
     """Returns the split of a data set: the one that its file states, else a seeded one.
 
     Args:
-      header: of the file (`schema.load`); `parts`, if there, names the part of every graph.
+      header: of the file (`npz.load`); `parts`, if there, names the part of every graph.
       num_graphs: size of the data set.
       seed: of the permutation, which gives the order in a part that the header states, too, so
         that its first graphs are a fair sample of it.

@@ -27,8 +27,8 @@ from sg3d_jax.data.synthetic_floor import (
     storey_of,
     without_removed,
 )
-from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR
 from sg3d_jax.scene.proximity import NEIGHBOURS
 
 

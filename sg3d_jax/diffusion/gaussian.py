@@ -9,6 +9,8 @@ Source: MiDi, Sec. 3, and D4; paper, Eq. (distance_transition).
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+TINY = 1e-12
+
 
 def add_noise(
     noise: Float[Array, "..."], clean: Float[Array, "..."], signal: Float[Array, ""]
@@ -38,7 +40,8 @@ def reverse_step(
     """
     variance_next, variance_now = 1 - signal_next**2, 1 - signal_now**2
     step = signal_now / signal_next
-    ratio = variance_next / variance_now
+    # Near time 0 the signal rounds to 1: nothing is left of the noise, as at time 0 itself.
+    ratio = jnp.where(variance_now > 0, variance_next / jnp.maximum(variance_now, TINY), 0.0)
     shrink = 1 - step**2 * ratio
     mean = signal_next * shrink * predicted + step * ratio * noisy
     return mean + jnp.sqrt(variance_next * shrink) * noise

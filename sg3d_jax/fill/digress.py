@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from sg3d_jax.diffusion import categorical
-from sg3d_jax.diffusion.schedules import strided_times
-from sg3d_jax.fill.protocol import Params, Statistics, real_pairs
+from sg3d_jax.diffusion.sampler import ancestral_sample
+from sg3d_jax.fill.protocol import Marginals, Params, Terms, real_pairs
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
 from sg3d_jax.scene.padding import Block
@@ -56,15 +56,15 @@ def add_noise(
     signal: Levels,
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
-    statistics: Statistics,
+    marginals: Marginals,
 ) -> Topology:
     """Draws a noisier topology: from a clean one, that of the time at which signals are such."""
     keys = jax.random.split(key, 3)
     num_block = block_mask.shape[0]
     square, cross = topology.edges[:, :num_block], topology.edges[:, num_block:]
-    square = categorical.add_noise(keys[0], square, signal.edge, statistics.block_edge)
-    cross = categorical.add_noise(keys[1], cross, signal.edge, statistics.cross_edge)
-    label = categorical.add_noise(keys[2], topology.label, signal.label, statistics.label)
+    square = categorical.add_noise(keys[0], square, signal.edge, marginals.block_edge)
+    cross = categorical.add_noise(keys[1], cross, signal.edge, marginals.cross_edge)
+    label = categorical.add_noise(keys[2], topology.label, signal.label, marginals.label)
     return Topology(label, _join(square, cross, block_mask, old_mask))
 
 
@@ -73,7 +73,7 @@ def cross_entropies(
     logits_edge: Float[Array, "M tokens 2"],
     block: Block,
     old_mask: Bool[Array, " N"],
-) -> dict[str, Float[Array, ""]]:
+) -> Terms:
     """Returns the cross-entropies of the clean labels and edges.
 
     Each is a mean over the nodes, or over the pairs, of this one graph, so that in a batch every
@@ -102,14 +102,14 @@ def draw_start(
     key: Key[Array, ""],
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
-    statistics: Statistics,
+    marginals: Marginals,
 ) -> Topology:
     """Draws pure noise from the marginals."""
     num_block, num_old = block_mask.shape[0], old_mask.shape[0]
     key_label, key_square, key_cross = jax.random.split(key, 3)
-    square = categorical.draw_marginal(key_square, (num_block,) * 2, statistics.block_edge)
-    cross = categorical.draw_marginal(key_cross, (num_block, num_old), statistics.cross_edge)
-    label = categorical.draw_marginal(key_label, (num_block,), statistics.label)
+    square = categorical.draw_marginal(key_square, (num_block,) * 2, marginals.block_edge)
+    cross = categorical.draw_marginal(key_cross, (num_block, num_old), marginals.cross_edge)
+    label = categorical.draw_marginal(key_label, (num_block,), marginals.label)
     return Topology(label, _join(square, cross, block_mask, old_mask))
 
 
@@ -122,14 +122,14 @@ def reverse_step(
     signal_now: Levels,
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
-    statistics: Statistics,
+    marginals: Marginals,
 ) -> Topology:
     """Draws the topology at an earlier diffusion time, given the prediction of the clean one.
 
     Source: paper, Eq. (digress_transition).
     """
-    # A class of no marginal probability, such as the plane, would never be left again.
-    logits_label = jnp.where((statistics.label > 0)[None], logits_label, -jnp.inf)
+    # A class of no marginal probability, such as an observed one, would never be left again.
+    logits_label = jnp.where((marginals.label > 0)[None], logits_label, -jnp.inf)
     keys = jax.random.split(key, 3)
     probs_label, probs_edge = jax.nn.softmax(logits_label), jax.nn.softmax(logits_edge)
     levels = signal_next.edge, signal_now.edge
@@ -139,10 +139,10 @@ def reverse_step(
         probs = categorical.posterior(probs_edge[:, part], noisy.edges[:, part], *levels, marginal)
         return categorical.draw(key, probs)
 
-    square = draw(keys[0], slice(None, num_block), statistics.block_edge)
-    cross = draw(keys[1], slice(num_block, None), statistics.cross_edge)
+    square = draw(keys[0], slice(None, num_block), marginals.block_edge)
+    cross = draw(keys[1], slice(num_block, None), marginals.cross_edge)
     levels_label = signal_next.label, signal_now.label
-    probs = categorical.posterior(probs_label, noisy.label, *levels_label, statistics.label)
+    probs = categorical.posterior(probs_label, noisy.label, *levels_label, marginals.label)
     label = categorical.draw(keys[2], probs)
     return Topology(label, _join(square, cross, block_mask, old_mask))
 
@@ -154,14 +154,14 @@ def loss(
     conditioning: Conditioning,
     block: Block,
     schedule: Float[Array, " times"],
-    statistics: Statistics,
-) -> dict[str, Float[Array, ""]]:
+    marginals: Marginals,
+) -> Terms:
     """Returns `cross_entropies` at one random diffusion time."""
     key_time, key_noise = jax.random.split(key)
     time = jax.random.randint(key_time, (), 1, schedule.shape[0])
     signal = Levels(schedule[time], schedule[time])
     masks = block.mask, conditioning.mask
-    noisy = add_noise(key_noise, topology_of(block), signal, *masks, statistics)
+    noisy = add_noise(key_noise, topology_of(block), signal, *masks, marginals)
     inputs = conditioning, block.mask, noisy.label, noisy.edges, time.astype(jnp.float32)
     logits = apply(network, params, *inputs)
     return cross_entropies(*logits, block, conditioning.mask)
@@ -175,7 +175,7 @@ def sample(
     block_mask: Bool[Array, " M"],
     schedule: Float[Array, " times"],
     num_steps: int,
-    statistics: Statistics,
+    marginals: Marginals,
 ) -> Topology:
     """Draws the topology of the places in `block_mask` by the reverse process.
 
@@ -184,15 +184,11 @@ def sample(
     key_start, key_steps = jax.random.split(key)
     masks = block_mask, conditioning.mask
 
-    def step(noisy: Topology, inputs: tuple[Array, Array, Array]) -> tuple[Topology, None]:
-        key, now, then = inputs
+    def step(key: Array, noisy: Topology, now: Array, then: Array) -> Topology:
         time = now.astype(jnp.float32)
         logits = apply(network, params, conditioning, block_mask, *noisy, time)
         levels = (Levels(schedule[then], schedule[then]), Levels(schedule[now], schedule[now]))
-        return reverse_step(key, noisy, *logits, *levels, *masks, statistics), None
+        return reverse_step(key, noisy, *logits, *levels, *masks, marginals)
 
-    times = strided_times(schedule.shape[0] - 1, num_steps)
-    keys = jax.random.split(key_steps, num_steps)
-    start = draw_start(key_start, *masks, statistics)
-    topology, _ = jax.lax.scan(step, start, (keys, times[:-1], times[1:]))
-    return topology
+    start = draw_start(key_start, *masks, marginals)
+    return ancestral_sample(step, start, key_steps, schedule.shape[0] - 1, num_steps)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from sg3d_jax.diffusion import gaussian
-from sg3d_jax.diffusion.schedules import strided_times
+from sg3d_jax.diffusion.sampler import ancestral_sample
 from sg3d_jax.fill.protocol import Params, Statistics, real_pairs
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.embed import safe_norm
@@ -74,16 +74,13 @@ def sample(
     key_start, key_steps = jax.random.split(key)
     start = _symmetric_normal(key_start, num_block, num_old)
 
-    def step(noisy: Array, inputs: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        key, now, then = inputs
+    def step(key: Array, noisy: Array, now: Array, then: Array) -> Array:
         predicted = apply(
             network, params, conditioning, label, edges, noisy, now.astype(jnp.float32)
         )
         noise = _symmetric_normal(key, num_block, num_old)
-        return gaussian.reverse_step(noise, predicted, noisy, schedule[then], schedule[now]), None
+        return gaussian.reverse_step(noise, predicted, noisy, schedule[then], schedule[now])
 
-    times = strided_times(schedule.shape[0] - 1, num_steps)
-    keys = jax.random.split(key_steps, num_steps)
-    standardised, _ = jax.lax.scan(step, start, (keys, times[:-1], times[1:]))
+    standardised = ancestral_sample(step, start, key_steps, schedule.shape[0] - 1, num_steps)
     metres = standardised * statistics.distance_std + statistics.distance_mean
     return jnp.maximum(metres, 0.0)

@@ -55,7 +55,7 @@ def recover_positions(
       edges: symmetric inside the block; False at padding.
       old: the N old nodes.
       old_mask: real old nodes.
-      above: new nodes that stand above their neighbours: buildings and cities.
+      above: new nodes that stand above their neighbours, as buildings and cities do.
 
     Returns:
       float[M, 3], metres. A node without edges stands at the mean of the old graph; one with a

@@ -11,14 +11,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from sg3d_jax.diffusion import gaussian
-from sg3d_jax.diffusion.schedules import cosine, strided_times
+from sg3d_jax.diffusion.sampler import ancestral_sample
+from sg3d_jax.diffusion.schedules import cosine
 from sg3d_jax.fill import digress
 from sg3d_jax.fill.digress import Levels, Topology
-from sg3d_jax.fill.protocol import Fill, Params, Statistics, frame_centre
+from sg3d_jax.fill.protocol import Marginals, Params, Statistics, Terms, frame_centre
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, OldGraphEncoder
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology
 from sg3d_jax.scene.padding import Block
 
 EDGE_WEIGHT = 5.0
@@ -36,7 +38,7 @@ class MiDiConfig:
     pair_width: int = 48
     layers: int = 4
     heads: int = 8
-    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
+    kin: int = 0  # nearest nodes of its own concept that a node hears of
     diffusion_steps: int = 500  # S, of the trained schedules
     position_exponent: float = 2.5  # nu of the schedules: positions settle first,
     edge_exponent: float = 1.5  # then edges,
@@ -90,11 +92,16 @@ def make_schedules(config: MiDiConfig) -> Schedules:
     return Schedules(*(cosine(config.diffusion_steps, exponent) for exponent in exponents))
 
 
-def make_network(config: MiDiConfig) -> RelaxedTransformer:
+def make_network(config: MiDiConfig, ontology: Ontology) -> RelaxedTransformer:
     """Returns the denoiser of a configuration."""
-    return RelaxedTransformer(
-        config.node_width, config.pair_width, config.layers, config.heads, config.gates
-    )
+    sizes = config.node_width, config.pair_width, config.layers, config.heads, config.gates
+    return RelaxedTransformer(*sizes, ontology.num_concepts)
+
+
+def frame_of(graph: SceneGraph, statistics: Statistics) -> Frame:
+    """Returns the frame of an old graph: its mean, and the spread of new nodes around it."""
+    centre = frame_centre(graph.nodes.position, graph.nodes.mask)
+    return Frame(centre, jnp.asarray(statistics.position_std, jnp.float32))
 
 
 def state_of(block: Block, frame: Frame) -> State:
@@ -108,7 +115,7 @@ def add_noise(
     signal: Schedules,
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
-    statistics: Statistics,
+    marginals: Marginals,
 ) -> State:
     """Draws a noisier state: from a clean one, that of the time at which signals are such.
 
@@ -119,7 +126,7 @@ def add_noise(
     masks = block_mask, old_mask
     return State(
         topology=digress.add_noise(
-            key_topology, state.topology, signal.topology, *masks, statistics
+            key_topology, state.topology, signal.topology, *masks, marginals
         ),
         position=gaussian.add_noise(noise, state.position, signal.position),
     )
@@ -154,8 +161,8 @@ def losses(
     block: Block,
     signal: Schedules,
     time: Int[Array, ""],
-    statistics: Statistics,
-) -> dict[str, Float[Array, ""]]:
+    marginals: Marginals,
+) -> Terms:
     """Returns the terms of the loss at one diffusion time; all zero for an empty block.
 
     Source: MiDi (cross-entropies, and the squared error of clean positions).
@@ -163,7 +170,7 @@ def losses(
     `MAX_SIGNAL_TO_NOISE`, as min-SNR does (Hang et al. 2023): what is lost in noise has no say.
     """
     masks = block.mask, conditioning.mask
-    noisy = add_noise(key, state_of(block, frame), signal, *masks, statistics)
+    noisy = add_noise(key, state_of(block, frame), signal, *masks, marginals)
     label, edge, position = denoise(
         network, params, conditioning, frame, block.mask, noisy, signal, time
     )
@@ -175,7 +182,7 @@ def losses(
     return {**terms, "position": weight * mean}
 
 
-def total_loss(terms: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
+def total_loss(terms: Terms) -> Float[Array, ""]:
     """Returns the weighted sum of the terms of `losses`."""
     return terms["label"] + EDGE_WEIGHT * terms["edge"] + terms["position"]
 
@@ -184,12 +191,12 @@ def draw_start(
     key: Key[Array, ""],
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
-    statistics: Statistics,
+    marginals: Marginals,
 ) -> State:
     """Draws pure noise."""
     key_topology, key_position = jax.random.split(key)
     return State(
-        topology=digress.draw_start(key_topology, block_mask, old_mask, statistics),
+        topology=digress.draw_start(key_topology, block_mask, old_mask, marginals),
         position=jax.random.normal(key_position, (block_mask.shape[0], 3)),
     )
 
@@ -202,7 +209,7 @@ def reverse_step(
     signal_now: Schedules,
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
-    statistics: Statistics,
+    marginals: Marginals,
 ) -> State:
     """Draws the block at an earlier diffusion time, given the prediction of the clean one.
 
@@ -215,7 +222,7 @@ def reverse_step(
     masks = block_mask, old_mask
     return State(
         topology=digress.reverse_step(
-            key_topology, noisy.topology, logits_label, logits_edge, *levels, *masks, statistics
+            key_topology, noisy.topology, logits_label, logits_edge, *levels, *masks, marginals
         ),
         position=gaussian.reverse_step(
             noise, position, noisy.position, signal_next.position, signal_now.position
@@ -233,66 +240,84 @@ def to_block(state: State, frame: Frame, block_mask: Bool[Array, " M"]) -> Block
     )
 
 
-def make_midi(config: MiDiConfig, statistics: Statistics) -> Fill:
-    """Builds the Fill model MiDi.
+@dataclasses.dataclass(frozen=True)
+class MiDi:
+    """The Fill model MiDi.
 
-    Args:
+    Attributes:
       config: sizes and steps.
       statistics: marginals and spread of positions of the training set.
+      ontology: the concepts.
     """
-    encoder = OldGraphEncoder(config.encoder_width, config.encoder_layers, config.gates, config.kin)
-    network, schedules = make_network(config), make_schedules(config)
 
-    def frame_of(graph: SceneGraph) -> Frame:
-        centre = frame_centre(graph.nodes.position, graph.nodes.mask)
-        return Frame(centre, statistics.position_std)
+    config: MiDiConfig
+    statistics: Statistics
+    ontology: Ontology = PAPER_ONTOLOGY
 
-    def init(key: Key[Array, ""], graph: SceneGraph, block: Block) -> Params:
+    @property
+    def encoder(self) -> OldGraphEncoder:
+        """The encoder of the old graph."""
+        config = self.config
+        return OldGraphEncoder(
+            config.encoder_width, config.encoder_layers, config.gates, config.kin
+        )
+
+    @property
+    def network(self) -> RelaxedTransformer:
+        """The denoiser."""
+        return make_network(self.config, self.ontology)
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph, block: Block) -> Params:
+        """Draws initial parameters."""
         keys = jax.random.split(key)
-        encoder_params = encoder.init(keys[0], graph)
-        conditioning = apply(encoder, encoder_params, graph)
-        edges = block.edges.astype(jnp.int32)
-        inputs = block.mask, block.label, edges, block.position, jnp.zeros(())
-        centre = frame_of(graph).centre
+        encoder_params = self.encoder.init(keys[0], graph)
+        conditioning = apply(self.encoder, encoder_params, graph)
+        centre = frame_of(graph, self.statistics).centre
+        inputs = block.mask, *digress.topology_of(block), block.position, jnp.zeros(())
         return {
             "encoder": encoder_params,
-            "denoiser": network.init(keys[1], conditioning, centre, *inputs),
+            "denoiser": self.network.init(keys[1], conditioning, centre, *inputs),
         }
 
     def loss(
-        params: Params, key: Key[Array, ""], graph: SceneGraph, block: Block
-    ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-        conditioning, frame = apply(encoder, params["encoder"], graph), frame_of(graph)
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph, block: Block
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the weighted sum of `losses`, a mean over diffusion times, and its terms."""
+        conditioning = apply(self.encoder, params["encoder"], graph)
+        frame, schedules = frame_of(graph, self.statistics), make_schedules(self.config)
+        marginals = self.statistics.marginals
 
-        def at_one_level(key: Key[Array, ""]) -> dict[str, Float[Array, ""]]:
+        def at_one_level(key: Key[Array, ""]) -> Terms:
             key_time, key_noise = jax.random.split(key)
-            time = jax.random.randint(key_time, (), 1, config.diffusion_steps + 1)
-            inputs = conditioning, frame, block, schedules.at(time), time, statistics
-            return losses(network, params["denoiser"], key_noise, *inputs)
+            time = jax.random.randint(key_time, (), 1, self.config.diffusion_steps + 1)
+            inputs = conditioning, frame, block, schedules.at(time), time, marginals
+            return losses(self.network, params["denoiser"], key_noise, *inputs)
 
-        terms = jax.vmap(at_one_level)(jax.random.split(key, config.noise_levels))
+        terms = jax.vmap(at_one_level)(jax.random.split(key, self.config.noise_levels))
         terms = {name: jnp.mean(values) for name, values in terms.items()}
         return total_loss(terms), terms
 
     def sample(
-        params: Params, key: Key[Array, ""], graph: SceneGraph, block_mask: Bool[Array, " M"]
+        self,
+        params: Params,
+        key: Key[Array, ""],
+        graph: SceneGraph,
+        block_mask: Bool[Array, " M"],
     ) -> Block:
-        conditioning, frame = apply(encoder, params["encoder"], graph), frame_of(graph)
+        """Draws a block, all of it at once, in the frame of the old graph."""
+        conditioning = apply(self.encoder, params["encoder"], graph)
+        frame, schedules = frame_of(graph, self.statistics), make_schedules(self.config)
+        masks, marginals = (block_mask, conditioning.mask), self.statistics.marginals
         key_start, key_steps = jax.random.split(key)
-        masks = block_mask, conditioning.mask
 
-        def step(noisy: State, inputs: tuple[Array, Array, Array]) -> tuple[State, None]:
-            key, now, then = inputs
+        def step(key: Array, noisy: State, now: Array, then: Array) -> State:
             signal = schedules.at(now)
             known = conditioning, frame, block_mask
-            predicted = denoise(network, params["denoiser"], *known, noisy, signal, now)
-            levels = schedules.at(then), signal
-            return reverse_step(key, noisy, predicted, *levels, *masks, statistics), None
+            predicted = denoise(self.network, params["denoiser"], *known, noisy, signal, now)
+            return reverse_step(
+                key, noisy, predicted, schedules.at(then), signal, *masks, marginals
+            )
 
-        times = strided_times(config.diffusion_steps, config.sampling_steps)
-        keys = jax.random.split(key_steps, config.sampling_steps)
-        start = draw_start(key_start, *masks, statistics)
-        state, _ = jax.lax.scan(step, start, (keys, times[:-1], times[1:]))
-        return to_block(state, frame, block_mask)
-
-    return Fill(init, loss, sample)
+        start = draw_start(key_start, *masks, marginals)
+        times = self.config.diffusion_steps, self.config.sampling_steps
+        return to_block(ancestral_sample(step, start, key_steps, *times), frame, block_mask)

@@ -1,47 +1,76 @@
 """What every Fill model is, and what it must know of the data."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from sg3d_jax.flagg.removal import Cut
-from sg3d_jax.scene.ontology import NUM_CONCEPTS
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.scene.padding import Block
 
-Params = Any
+Params = Any  # nested dictionaries of arrays
+Terms = dict[str, Float[Array, ""]]  # of a loss, by name
+
+
+class Marginals(NamedTuple):
+    """What noise is drawn from."""
+
+    label: Array  # float[C], of new labels; zero for concepts that are observed or do not occur
+    block_edge: Array  # float[2], of {no edge, edge} inside a block
+    cross_edge: Array  # float[2], between a block and the old graph
 
 
 class Statistics(NamedTuple):
-    """Noise distributions and scales, counted on the cuts of a training set."""
+    """Noise distributions and scales of a training set: plain numbers, so that models hash.
 
-    label: Array  # float[C], marginal of new labels
-    block_edge: Array  # float[2], marginal of {no edge, edge} inside a block
-    cross_edge: Array  # float[2], between a block and the old graph
-    distance_mean: Array  # float[], metres, on new edges
-    distance_std: Array  # float[], metres
-    position_std: Array  # float[], metres a coordinate, of new nodes around the old graph's mean
-
-
-class Fill(NamedTuple):
-    """A Fill model: three pure functions on one padded graph; `vmap` them for a batch.
-
-    Attributes:
-      init: (key, graph, block) -> params.
-      loss: (params, key, graph, block) -> (loss, metrics), both scalars or dicts of scalars; zero
-        for an empty block.
-      sample: (params, key, graph, block mask) -> block.
+    `train.statistics` counts them.
     """
 
-    init: Callable[[Key[Array, ""], SceneGraph, Block], Params]
-    loss: Callable[
-        [Params, Key[Array, ""], SceneGraph, Block],
-        tuple[Float[Array, ""], dict[str, Float[Array, ""]]],
-    ]
-    sample: Callable[[Params, Key[Array, ""], SceneGraph, Bool[Array, " M"]], Block]
+    label: tuple[float, ...]  # [C], marginal of new labels
+    block_edge: tuple[float, ...]  # [2], marginal of {no edge, edge} inside a block
+    cross_edge: tuple[float, ...]  # [2], between a block and the old graph
+    distance_mean: float  # metres, on new edges
+    distance_std: float  # metres
+    position_std: float  # metres a coordinate, of new nodes around the old graph's mean
+
+    @property
+    def marginals(self) -> Marginals:
+        """The marginals as arrays."""
+        return Marginals(*(jnp.asarray(field, jnp.float32) for field in self[:3]))
+
+
+class Fill(Protocol):
+    """A Fill model: three pure functions on one padded graph; `vmap` them for a batch.
+
+    It is a frozen dataclass of what it is built from, so that two that are built alike are equal,
+    hash alike, and compile once.
+    """
+
+    @property
+    def ontology(self) -> Ontology:
+        """The concepts of the graphs that it fills."""
+        ...
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph, block: Block) -> Params:
+        """Draws initial parameters, given any graph and block of the shapes to come."""
+        ...
+
+    def loss(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph, block: Block
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the loss of a block given the old graph, and its terms; zero if it is empty."""
+        ...
+
+    def sample(
+        self,
+        params: Params,
+        key: Key[Array, ""],
+        graph: SceneGraph,
+        block_mask: Bool[Array, " M"],
+    ) -> Block:
+        """Draws a block of the places in the mask, given the old graph."""
+        ...
 
 
 def real_pairs(
@@ -58,48 +87,3 @@ def frame_centre(position: Float[Array, "N 3"], mask: Bool[Array, " N"]) -> Floa
     Source: paper, Sec. "Adapting MiDi".
     """
     return jnp.sum(position * mask[:, None], axis=0) / jnp.maximum(jnp.sum(mask), 1)
-
-
-def count_statistics(cuts: Cut) -> Statistics:
-    """Counts the marginals and the distance scale on stacked cuts.
-
-    Args:
-      cuts: of leading axis `B`, as drawn in training.
-
-    Returns:
-      Marginals of labels and of both kinds of edges, mean and spread of the new edges' lengths, and
-      spread of the new nodes. The plane label has probability zero.
-
-    Source: DiGress (marginal transitions), FLAGG (three separate marginals).
-    Differs: counted before training; FLAGG counts while it already trains.
-    """
-    block, old = cuts.block, cuts.survivors.nodes
-    is_concept = block.label[..., None] == jnp.arange(NUM_CONCEPTS)[None, None]
-    label = jnp.sum(is_concept & block.mask[..., None], axis=(0, 1))
-    num_block = block.mask.shape[-1]
-    once = jnp.tril(jnp.ones((num_block, num_block), bool), -1)[None]
-    square = once & block.mask[:, :, None] & block.mask[:, None, :]
-    cross = block.mask[:, :, None] & old.mask[:, None, :]
-    inside, across = block.edges[..., :num_block], block.edges[..., num_block:]
-    tokens = jnp.concatenate([block.position, old.position], axis=1)
-    length = jnp.linalg.norm(block.position[:, :, None] - tokens[:, None], axis=-1)
-    new = jnp.concatenate([inside & square, across & cross], axis=-1)
-    total = jnp.maximum(jnp.sum(new), 1)
-    mean = jnp.sum(length * new) / total
-    variance = jnp.sum((length - mean) ** 2 * new) / total
-    centre = jax.vmap(frame_centre)(old.position, old.mask)
-    offset = (block.position - centre[:, None]) * block.mask[..., None]
-    spread = jnp.sum(offset**2) / jnp.maximum(3 * jnp.sum(block.mask), 1)
-
-    def binary(edges: Array, pairs: Array) -> Array:
-        share = jnp.sum(edges & pairs) / jnp.maximum(jnp.sum(pairs), 1)
-        return jnp.stack([1 - share, share])
-
-    return Statistics(
-        label=label / jnp.sum(label),
-        block_edge=binary(inside, square),
-        cross_edge=binary(across, cross),
-        distance_mean=mean,
-        distance_std=jnp.sqrt(variance) + 1e-3,
-        position_std=jnp.sqrt(spread) + 1e-3,
-    )

@@ -4,13 +4,15 @@ Source: paper, Sec. "Noise augmentation". The values are not printed there; ours
 """
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE
-from sg3d_jax.scene.graph import Edges, SceneGraph
+from sg3d_jax.scene.graph import Edges, SceneGraph, ontology_of
+from sg3d_jax.scene.ontology import PART_OF
 from sg3d_jax.scene.padding import part_of_adjacency
 
 
@@ -18,15 +20,14 @@ from sg3d_jax.scene.padding import part_of_adjacency
 class CorruptionConfig:
     """How much the conditioning graph is perturbed in training."""
 
-    p_node: float = 0.01  # chance that a high-level node gets another label
-    p_drop: float = 0.01  # chance that an edge with a high-level end is removed
+    p_node: float = 0.01  # chance that a grown node gets another label
+    p_drop: float = 0.01  # chance that an edge with a grown end is removed
     p_add: float = 0.0005  # chance that a missing such edge is inserted; pairs outnumber edges 20:1
     sigma_position: float = 0.05  # metres
-    max_added: int = 8  # at most this many inserted edges a graph
 
 
 def corrupt(graph: SceneGraph, key: Key[Array, ""], config: CorruptionConfig) -> SceneGraph:
-    """Perturbs labels, positions and edges of the high-level nodes; planes are protected.
+    """Perturbs labels, positions and edges of the grown nodes; observed ones are protected.
 
     Args:
       graph: padded, `E` edges of capacity.
@@ -34,18 +35,17 @@ def corrupt(graph: SceneGraph, key: Key[Array, ""], config: CorruptionConfig) ->
       config: its strength.
 
     Returns:
-      A graph with `E + 2 max_added` edges of capacity, so that insertions always have room. Planes
-      and edges between planes are untouched.
+      A graph with `2 added_slots(N, p_add)` more edges of capacity, so that insertions always have
+      room. Observed nodes and edges between them are untouched.
 
     Source: paper, Sec. "Noise augmentation".
-    Differs: at most `max_added` edges are inserted in one graph.
     """
     key_label, key_position, key_drop, key_add = jax.random.split(key, 4)
     nodes = graph.nodes
-    free = nodes.mask & (nodes.label != PLANE)
+    free = nodes.mask & ~nodes.observed
     noise = config.sigma_position * jax.random.normal(key_position, nodes.position.shape)
     perturbed = nodes._replace(
-        label=_other_labels(key_label, nodes.label, free, config.p_node),
+        label=_other_labels(key_label, graph, free, config.p_node),
         position=nodes.position + jnp.where(free[:, None], noise, 0.0),
     )
     drop = _symmetric_uniform(key_drop, nodes.mask.shape[0]) < config.p_drop
@@ -55,14 +55,26 @@ def corrupt(graph: SceneGraph, key: Key[Array, ""], config: CorruptionConfig) ->
     return _with_edges(graph._replace(nodes=perturbed), kept, *added)
 
 
+def added_slots(num_nodes: int, p_add: float) -> int:
+    """Returns how many inserted edges there is room for in a graph of N slots.
+
+    Six standard deviations above the mean number of insertions were all pairs missing: not one
+    graph in ten million would need more.
+    """
+    mean = p_add * num_nodes * (num_nodes - 1) / 2
+    return math.ceil(mean + 6 * math.sqrt(mean) + 4) if p_add else 0
+
+
 def _other_labels(
-    key: Key[Array, ""], label: Int[Array, " N"], free: Bool[Array, " N"], p_node: float
+    key: Key[Array, ""], graph: SceneGraph, free: Bool[Array, " N"], p_node: float
 ) -> Int[Array, " N"]:
-    """Replaces labels, each by one of the other high-level concepts with equal chance."""
+    """Replaces labels, each by one of the other grown concepts with equal chance."""
     key_which, key_shift = jax.random.split(key)
-    num_high = NUM_CONCEPTS - 1  # all but the plane, which is concept 0
-    shift = jax.random.randint(key_shift, label.shape, 1, num_high)
-    other = 1 + (label - 1 + shift) % num_high
+    label, observed = graph.nodes.label, ontology_of(graph).is_observed
+    grown = jnp.asarray(np.flatnonzero(~observed))
+    place = jnp.asarray(np.cumsum(~observed) - 1)[label]
+    shift = jax.random.randint(key_shift, label.shape, 1, max(2, grown.shape[0]))
+    other = grown[(place + shift) % grown.shape[0]].astype(label.dtype)
     return jnp.where(free & (jax.random.uniform(key_which, label.shape) < p_node), other, label)
 
 
@@ -79,9 +91,12 @@ def _missing_pairs(
     mask = graph.nodes.mask
     candidates = jnp.triu(mask[:, None] & mask[None, :] & (free[:, None] | free[None, :]), 1)
     candidates &= ~part_of_adjacency(graph)
-    chosen = candidates & (jax.random.uniform(key, candidates.shape) < config.p_add)
-    senders, receivers = jnp.nonzero(chosen, size=config.max_added, fill_value=0)
-    return senders, receivers, jnp.arange(config.max_added) < jnp.sum(chosen)
+    score = jnp.where(candidates, jax.random.uniform(key, candidates.shape), 1.0)
+    num_nodes = mask.shape[0]
+    least, pair = jax.lax.top_k(
+        -score.ravel(), min(added_slots(num_nodes, config.p_add), score.size)
+    )
+    return pair // num_nodes, pair % num_nodes, -least < config.p_add
 
 
 def _with_edges(

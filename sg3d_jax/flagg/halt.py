@@ -3,8 +3,8 @@
 Source: paper, p_theta^H(H_t | G_t) in Sec. "FLAGG for graph extension".
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,29 +15,32 @@ from sg3d_jax.nn.gine import GraphHead
 from sg3d_jax.scene.graph import SceneGraph
 
 
-class Halt(NamedTuple):
-    """The halting model: two pure functions on one padded graph.
-
-    Attributes:
-      init: (key, graph) -> params.
-      logit: (params, graph) -> float[], of the chance that the graph is complete.
-    """
-
-    init: Callable[[Key[Array, ""], SceneGraph], Any]
-    logit: Callable[[Any, SceneGraph], Float[Array, ""]]
-
-
-def make_halt(width: int, layers: int) -> Halt:
-    """Builds the halting model: a GINE with a head of one logit.
+@dataclasses.dataclass(frozen=True)
+class Halt:
+    """The halting model: a GINE with a head of one logit; pure functions on one padded graph.
 
     Source: paper. Differs: FLAGG's release uses an MLP on graph-level features.
+
+    Attributes:
+      width: of the GINE.
+      layers: of the GINE.
     """
-    network = GraphHead(width, layers, 1)
 
-    def logit(params: Any, graph: SceneGraph) -> Float[Array, ""]:
-        return apply(network, params, graph)[0]
+    width: int
+    layers: int
 
-    return Halt(init=network.init, logit=logit)
+    @property
+    def network(self) -> GraphHead:
+        """The network."""
+        return GraphHead(self.width, self.layers, 1)
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph) -> Any:
+        """Draws initial parameters."""
+        return self.network.init(key, graph)
+
+    def logit(self, params: Any, graph: SceneGraph) -> Float[Array, ""]:
+        """Returns the logit of the chance that a padded graph is complete."""
+        return apply(self.network, params, graph)[0]
 
 
 def halt_loss(

@@ -3,8 +3,8 @@
 Source: paper, p_theta^I(m_t | G_{t-1}) in Sec. "FLAGG for graph extension".
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,32 +15,35 @@ from sg3d_jax.nn.gine import GraphHead
 from sg3d_jax.scene.graph import SceneGraph
 
 
-class Insert(NamedTuple):
-    """The insertion model: two pure functions on one padded graph.
-
-    Attributes:
-      init: (key, graph) -> params.
-      logits: (params, graph) -> float[K], one logit a coin.
-    """
-
-    init: Callable[[Key[Array, ""], SceneGraph], Any]
-    logits: Callable[[Any, SceneGraph], Float[Array, " K"]]
-
-
-def make_insert(width: int, layers: int, num_coins: int) -> Insert:
-    """Builds the insertion model: a GINE with a head of one logit a coin.
+@dataclasses.dataclass(frozen=True)
+class Insert:
+    """The insertion model: a GINE with a head of one logit a coin; pure functions on one graph.
 
     Where there is only one block size there is nothing to predict, and the model is a constant
     without parameters, as in FLAGG's sequential schedule.
+
+    Attributes:
+      width: of the GINE.
+      layers: of the GINE.
+      num_coins: K, block sizes to choose from.
     """
-    if num_coins == 1:
-        return Insert(init=lambda key, graph: {}, logits=lambda params, graph: jnp.zeros(1))
-    network = GraphHead(width, layers, num_coins)
 
-    def logits(params: Any, graph: SceneGraph) -> Float[Array, " K"]:
-        return apply(network, params, graph)
+    width: int
+    layers: int
+    num_coins: int
 
-    return Insert(init=network.init, logits=logits)
+    @property
+    def network(self) -> GraphHead:
+        """The network."""
+        return GraphHead(self.width, self.layers, self.num_coins)
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph) -> Any:
+        """Draws initial parameters."""
+        return {} if self.num_coins == 1 else self.network.init(key, graph)
+
+    def logits(self, params: Any, graph: SceneGraph) -> Float[Array, " K"]:
+        """Returns one logit a coin for the next block of a padded graph."""
+        return jnp.zeros(1) if self.num_coins == 1 else apply(self.network, params, graph)
 
 
 def insert_loss(logits: Float[Array, " K"], target: Float[Array, " K"]) -> Float[Array, ""]:

@@ -10,14 +10,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from sg3d_jax.fill.protocol import Fill
+from sg3d_jax.fill.protocol import Fill, Terms
 from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
-from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss, make_halt
-from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss, make_insert
-from sg3d_jax.flagg.ordering import Ordering
+from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss
+from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss
+from sg3d_jax.flagg.ordering import Ordering, grown_layers
 from sg3d_jax.flagg.removal import Cut, draw_continuations, draw_cut
-from sg3d_jax.scene.ontology import CONCEPTS
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.nn.kin import kin_fit
+from sg3d_jax.scene.graph import PackedGraph, SceneGraph
+from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.scene.padding import Block, append_block
 
 
@@ -27,7 +28,7 @@ class FlaggConfig:
 
     coins: tuple[int, ...] = (1, 4)  # block sizes
     ordering: Ordering = "H"
-    layers: tuple[str, ...] = CONCEPTS  # sigma_C, the order in which concepts are inserted
+    layers: tuple[str, ...] = ()  # sigma_C, the order in which concepts come; empty: bottom-up
     continuations: int = 1  # blocks that may come next, trained on one encoded graph
     corruption: CorruptionConfig = CorruptionConfig()
     width: int = 32  # of Insert and Halt
@@ -35,26 +36,12 @@ class FlaggConfig:
     halt_by_threshold: bool = True  # False: by a draw
 
     def __post_init__(self) -> None:
-        """Refuses layers that are not an order of the concepts from the plane upwards."""
-        if self.layers[:1] != ("plane",) or sorted(self.layers) != sorted(CONCEPTS):
-            raise ValueError(
-                f"flagg.layers must begin with 'plane' and name each of {', '.join(CONCEPTS)} "
-                f"once, got {', '.join(self.layers)}"
-            )
+        """Refuses continuations where one node alone may come next."""
         if self.continuations < 1 or (self.continuations > 1 and self.ordering != "H"):
             raise ValueError(
                 f"flagg.continuations is {self.continuations}, expected 1, or more in the order H: "
                 "HP leaves one node that comes next"
             )
-
-
-class Flagg(NamedTuple):
-    """The three modules and what they share."""
-
-    insert: Insert
-    fill: Fill
-    halt: Halt
-    config: FlaggConfig
 
 
 class Params(NamedTuple):
@@ -65,79 +52,106 @@ class Params(NamedTuple):
     halt: Any
 
 
-def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
-    """Puts Insert and Halt around a Fill model."""
-    return Flagg(
-        insert=make_insert(config.width, config.depth, len(config.coins)),
-        fill=fill,
-        halt=make_halt(config.width, config.depth),
-        config=config,
-    )
+class Growth(NamedTuple):
+    """What one growth step leaves."""
+
+    graph: PackedGraph
+    halted: Array  # bool[], Halt's decision
+    fits: Array  # bool[], whether the block had room; the graph is unchanged if not
+
+
+@dataclasses.dataclass(frozen=True)
+class Flagg:
+    """A model that grows: a Fill model with Insert and Halt around it.
+
+    Attributes:
+      config: how it grows.
+      fill: what it grows by.
+
+    Raises:
+      ValueError: the order of the layers is none of the concepts of the Fill model.
+    """
+
+    config: FlaggConfig
+    fill: Fill
+
+    def __post_init__(self) -> None:
+        """Refuses an order of other concepts."""
+        grown_layers(self.ontology, self.config.layers)
+
+    @property
+    def ontology(self) -> Ontology:
+        """The concepts."""
+        return self.fill.ontology
+
+    @property
+    def insert(self) -> Insert:
+        """How many nodes come next."""
+        return Insert(self.config.width, self.config.depth, len(self.config.coins))
+
+    @property
+    def halt(self) -> Halt:
+        """Whether the graph is complete."""
+        return Halt(self.config.width, self.config.depth)
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
+        """Draws initial parameters; `graph` is any padded graph."""
+        keys = jax.random.split(key, 4)
+        cut = cut_graph(self.config, keys[0], graph)
+        return Params(
+            insert=self.insert.init(keys[1], cut.survivors),
+            fill=self.fill.init(keys[2], cut.survivors, cut.block),
+            halt=self.halt.init(keys[3], cut.survivors),
+        )
+
+    def loss(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the sum of all losses on one random cut of one complete graph, and its terms.
+
+        All three modules see the perturbed conditioning graph; the clean block is the target.
+
+        Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
+        """
+        key_cut, key_corrupt, key_blocks, key_fill = jax.random.split(key, 4)
+        config, number = self.config, self.config.continuations
+        cut = cut_graph(config, key_cut, graph)
+        old = corrupt(cut.survivors, key_corrupt, config.corruption)
+        if number == 1:
+            blocks = jax.tree.map(lambda leaf: leaf[None], cut.block)
+        else:
+            blocks = draw_continuations(graph, cut, key_blocks, number, config.layers)
+
+        def fill(key: Key[Array, ""], block: Block) -> Any:  # encodes the old graph once under vmap
+            return self.fill.loss(params.fill, key, old, block)
+
+        losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
+        fill_loss, terms = jax.tree.map(jnp.mean, losses)
+        terms["insert"] = insert_loss(self.insert.logits(params.insert, old), cut.insert_probs)
+        terms["halt"] = halt_loss(self.halt.logit(params.halt, old), cut.complete, cut.inserted)
+        return fill_loss + terms["insert"] + terms["halt"], terms
+
+    def step(self, params: Params, key: Key[Array, ""], graph: PackedGraph) -> Growth:
+        """Inserts one block into a packed graph and asks Halt.
+
+        Source: paper, Eq. (flagg_transition).
+        """
+        key_insert, key_fill, key_halt = jax.random.split(key, 3)
+        coins = self.config.coins
+        size = draw_size(key_insert, self.insert.logits(params.insert, graph), coins)
+        block_mask: Bool[Array, " M"] = jnp.arange(max(coins)) < size
+        block: Block = self.fill.sample(params.fill, key_fill, graph, block_mask)
+        grown, fits = append_block(graph, block)
+        fits &= kin_fit(grown)
+        grown = jax.tree.map(lambda new, old: jnp.where(fits, new, old), grown, graph)
+        return Growth(grown, self.halts(params, key_halt, grown), fits)
+
+    def halts(self, params: Params, key: Key[Array, ""], graph: SceneGraph) -> Bool[Array, ""]:
+        """Returns Halt's decision on a padded graph."""
+        logit = self.halt.logit(params.halt, graph)
+        return draw_halt(key, logit, self.config.halt_by_threshold)
 
 
 def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph) -> Cut:
     """Cuts a complete padded graph at a random step of a random insertion sequence."""
     return draw_cut(graph, key, config.coins, config.ordering, config.layers)
-
-
-def init(model: Flagg, key: Key[Array, ""], graph: SceneGraph) -> Params:
-    """Draws initial parameters; `graph` is any padded graph."""
-    keys = jax.random.split(key, 4)
-    cut = cut_graph(model.config, keys[0], graph)
-    return Params(
-        insert=model.insert.init(keys[1], cut.survivors),
-        fill=model.fill.init(keys[2], cut.survivors, cut.block),
-        halt=model.halt.init(keys[3], cut.survivors),
-    )
-
-
-def loss(
-    model: Flagg, params: Params, key: Key[Array, ""], graph: SceneGraph
-) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-    """Returns the sum of all losses on one random cut of one complete graph, and its terms.
-
-    All three modules see the perturbed conditioning graph; the clean block is the target.
-
-    Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
-    """
-    key_cut, key_corrupt, key_blocks, key_fill = jax.random.split(key, 4)
-    config, number = model.config, model.config.continuations
-    cut = cut_graph(config, key_cut, graph)
-    old = corrupt(cut.survivors, key_corrupt, config.corruption)
-    if number == 1:
-        blocks = jax.tree.map(lambda leaf: leaf[None], cut.block)
-    else:
-        blocks = draw_continuations(graph, cut, key_blocks, number, config.layers)
-
-    def fill(key: Key[Array, ""], block: Block) -> Any:  # encodes the old graph once under vmap
-        return model.fill.loss(params.fill, key, old, block)
-
-    losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
-    fill_loss, terms = jax.tree.map(jnp.mean, losses)
-    terms["insert"] = insert_loss(model.insert.logits(params.insert, old), cut.insert_probs)
-    terms["halt"] = halt_loss(model.halt.logit(params.halt, old), cut.complete, cut.inserted)
-    return fill_loss + terms["insert"] + terms["halt"], terms
-
-
-class Growth(NamedTuple):
-    """What one growth step leaves."""
-
-    graph: SceneGraph
-    halted: Array  # bool[], Halt's decision
-    fits: Array  # bool[], whether the block had room; the graph is unchanged if not
-
-
-def grow(model: Flagg, params: Params, key: Key[Array, ""], graph: SceneGraph) -> Growth:
-    """Inserts one block into a padded graph and asks Halt.
-
-    Source: paper, Eq. (flagg_transition).
-    """
-    key_insert, key_fill, key_halt = jax.random.split(key, 3)
-    coins = model.config.coins
-    size = draw_size(key_insert, model.insert.logits(params.insert, graph), coins)
-    block_mask: Bool[Array, " M"] = jnp.arange(max(coins)) < size
-    block: Block = model.fill.sample(params.fill, key_fill, graph, block_mask)
-    grown, fits = append_block(graph, block)
-    grown = jax.tree.map(lambda new, old: jnp.where(fits, new, old), grown, graph)
-    logit = model.halt.logit(params.halt, grown)
-    return Growth(grown, draw_halt(key_halt, logit, model.config.halt_by_threshold), fits)

@@ -64,11 +64,11 @@ def read_documents(path: str | Path) -> list[tuple[str, Any]]:
     """
     text, suffix = read_text(path), Path(path).suffix.lower()
     if suffix == ".json":
-        return [(f"{path}", _parse(text, f"{path}"))]
+        return [(f"{path}", parsed(text, f"{path}"))]
     if suffix != ".jsonl":
         raise ValueError(f"{path}: the name ends in {suffix!r}, expected .json or .jsonl")
     lines = [(f"{path}: line {number}", line) for number, line in enumerate(text.split("\n"), 1)]
-    documents = [(where, _parse(line, where)) for where, line in lines if line.strip()]
+    documents = [(where, parsed(line, where)) for where, line in lines if line.strip()]
     if not documents:
         raise ValueError(f"{path}: the file is empty, expected one JSON document a line")
     return documents
@@ -88,6 +88,21 @@ def write_documents(path: str | Path, documents: Iterable[Mapping[str, Any]]) ->
         temporary.write_text("".join(lines), encoding="utf-8")
 
 
+def parsed(text: str, where: str) -> Any:
+    """Returns what a JSON text holds, or refuses.
+
+    Raises:
+      ValueError: it is not JSON, or of a kind that cannot be read.
+    """
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno} column {error.colno}"
+        raise ValueError(f"{where}: not JSON at {place} ({error.msg})") from error
+    except (ValueError, RecursionError) as error:  # numbers too long, brackets too deep
+        raise ValueError(f"{where}: not JSON that can be read ({error})") from error
+
+
 def field(record: Any, key: str, where: str) -> Any:
     """Returns what an object of a parsed document has under a key, or refuses.
 
@@ -101,15 +116,17 @@ def field(record: Any, key: str, where: str) -> Any:
     return record[key]
 
 
-def vector(value: Any, where: str) -> list[float]:
-    """Returns three numbers of a parsed document, or refuses.
+def vector(value: Any, where: str, length: int = 3) -> list[float]:
+    """Returns a list of numbers of a parsed document, or refuses.
 
     Raises:
-      ValueError: it is not a list of three numbers.
+      ValueError: it is not a list of so many numbers.
     """
-    if not isinstance(value, list) or len(value) != 3:
-        raise ValueError(f"{where} is {value!r:.40}, expected three numbers")
-    return [number(item, where) for item in value]
+    if not isinstance(value, list) or len(value) != length:
+        many = "three" if length == 3 else length
+        raise ValueError(f"{where} is {value!r:.40}, expected {many} numbers")
+    # Nearly all are floats, and there are many: a call for each would double the time of reading.
+    return [item if type(item) is float else number(item, where) for item in value]
 
 
 def number(value: Any, where: str) -> float:
@@ -124,16 +141,6 @@ def number(value: Any, where: str) -> float:
     except OverflowError:
         pass
     raise ValueError(f"{where} is {value!r:.40}, expected a number")
-
-
-def _parse(text: str, where: str) -> Any:
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        place = f"line {error.lineno} column {error.colno}"
-        raise ValueError(f"{where}: not JSON at {place} ({error.msg})") from error
-    except (ValueError, RecursionError) as error:  # numbers too long, brackets too deep
-        raise ValueError(f"{where}: not JSON that can be read ({error})") from error
 
 
 def _layout(value: object) -> str:

@@ -2,14 +2,15 @@
 
 | format | suffix | graphs a file | who reads it |
 |---|---|---|---|
-| json | .json, .jsonl | one; one a line | anyone (`interop.json`) |
+| json | .json, .jsonl | one; one a line | anyone (`io.json`) |
 | networkx | .json, .jsonl | one; one a line | `networkx.node_link_graph(document, edges="edges")` |
 | spark-dsg | .json, .jsonl | one; one a line | `spark_dsg.DynamicSceneGraph.load` |
 | graphml | .graphml | one | networkx, Gephi, yEd |
-| npz | .npz | any number | `numpy.load`; the format of data sets (`schema`) |
+| npz | .npz | any number | `numpy.load`; the format of data sets (`io.npz`) |
 
 What is in a JSON file is told by its keys. Read, too, are the published pickles (.zip, .pkl),
-planes (`interop.planes`; a .csv file, or {"planes": [...]}) and planes as S-Graphs sends them.
+planes (`io.planes`; a .csv file, or {"planes": [...]}) and planes as S-Graphs sends them. A file of
+graphs whose concepts are not the paper's says so: its `ontology` comes back with them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from sg3d_jax.data import published, schema
+from sg3d_jax.io import npz, published
 from sg3d_jax.io.files import read_documents, write_document, write_documents
 from sg3d_jax.io.graphml import read_graphml, write_graphml
 from sg3d_jax.io.json import graph_from_dict, graph_to_dict
@@ -26,7 +27,7 @@ from sg3d_jax.io.planes import planes_from_csv, planes_from_dict
 from sg3d_jax.io.s_graphs import planes_from_message
 from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg
 from sg3d_jax.scene.graph import SceneGraph, observed_of
-from sg3d_jax.scene.validate import validate_graph, validate_planes
+from sg3d_jax.scene.validate import checked_observed, validate_graph
 
 FORMATS: Final = ("json", "networkx", "spark-dsg", "graphml", "npz")
 DOCUMENTS: Final = (".json", ".jsonl")
@@ -40,6 +41,7 @@ _DOCUMENTS: Final[tuple[tuple[str, Callable[[Any, str], SceneGraph]], ...]] = (
     ("planes", planes_from_dict),
     ("x_planes", planes_from_message),
     ("nodes", graph_from_dict),
+    ("ontology", planes_from_dict),
 )
 _WRITERS: Final[Mapping[str, Callable[..., dict[str, Any]]]] = MappingProxyType(
     {"json": graph_to_dict, "networkx": graph_to_node_link, "spark-dsg": graph_to_spark_dsg}
@@ -59,7 +61,7 @@ def read_graphs(path: str | Path) -> list[SceneGraph]:
     if suffix in DOCUMENTS:
         return [_graph(document, where) for where, document in read_documents(path)]
     if suffix == ".npz":
-        return schema.load(path, rules=False).graphs
+        return npz.load(path, rules=False).graphs
     if suffix == ".graphml":
         return [read_graphml(path)]
     if suffix == ".csv":
@@ -70,20 +72,24 @@ def read_graphs(path: str | Path) -> list[SceneGraph]:
 
 
 def read_planes(path: str | Path) -> list[SceneGraph]:
-    """Returns the planes of every scene of a file, each as a host graph without edges.
+    """Returns what is observed of every scene of a file, each as a host graph without edges.
 
     Args:
       path: planes, or graphs whose planes are wanted; metres.
+
+    Returns:
+      The planes, and what else their ontology says is observed. Normals that were rounded to two
+      decimals have length 1.
 
     Raises:
       ValueError: one sentence that names the file, the scene, the plane and the field.
     """
     graphs = read_graphs(path)
-    scenes = [observed_of(graph) for graph in graphs]
-    for index, scene in enumerate(scenes):
-        where = f"{path}: graph {index}" if len(scenes) > 1 else f"{path}"
-        validate_planes(scene.nodes.position, scene.nodes.normal, scene.nodes.width, where)
-    return scenes
+    several = len(graphs) > 1
+    return [
+        checked_observed(observed_of(graph), f"{path}: graph {index}" if several else f"{path}")
+        for index, graph in enumerate(graphs)
+    ]
 
 
 def write_graphs(
@@ -110,7 +116,7 @@ def write_graphs(
     path = Path(path)
     check_writable(path, len(graphs), to)
     if to == "npz":
-        schema.save(path, graphs, {}, rules=False)
+        npz.save(path, graphs, {}, rules=False)
         return
     for index, graph in enumerate(graphs):
         validate_graph(graph, f"{path}: graph {index}", rules=False)

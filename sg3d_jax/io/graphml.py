@@ -1,21 +1,29 @@
 """Scene graphs as GraphML, the XML that networkx, Gephi and yEd read: one graph a file.
 
 GraphML has scalars only, so that vectors are spread: nodes have `concept`, `x`, `y`, `z` and, if
-planes, `normal_x`, `normal_y`, `normal_z`, `width`; edges have `kind`. Numbers survive exactly.
+planes, `normal_x`, `normal_y`, `normal_z`, `width`; edges have `kind`; the graph has `ontology`, as
+JSON, if its concepts are not the paper's. Numbers survive exactly.
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from sg3d_jax.io.files import replacing
+from sg3d_jax.io.files import parsed, replacing
 from sg3d_jax.io.networkx import from_networkx, to_networkx
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import FEATURES
 from sg3d_jax.scene.validate import validate_graph
 
-VECTORS: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
-    {"pos": ("x", "y", "z"), "normal": ("normal_x", "normal_y", "normal_z")}
+VECTORS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {"pos": ("x", "y", "z")}
+    | {
+        name: tuple(f"{name}_{axis}" for axis in ("xyz" if shape == (3,) else range(*shape)))
+        for name, shape in FEATURES.items()
+        if shape
+    }
 )
 
 
@@ -33,6 +41,8 @@ def write_graphml(path: str | Path, graph: SceneGraph) -> None:
 
     validate_graph(graph, f"{path}", rules=False)
     made = to_networkx(graph)
+    if "ontology" in made.graph:
+        made.graph["ontology"] = json.dumps(made.graph["ontology"])
     for attributes in made.nodes.values():
         for vector, scalars in VECTORS.items():
             if vector in attributes:
@@ -56,6 +66,8 @@ def read_graphml(path: str | Path) -> SceneGraph:
         raise ValueError(f"{path}: {error.strerror}, expected a file to read") from error
     except Exception as error:  # networkx lets through whatever its parser meets with
         raise ValueError(f"{path}: not GraphML that can be read ({error!r:.80})") from error
+    if "ontology" in made.graph:
+        made.graph["ontology"] = parsed(f"{made.graph['ontology']}", f"{path}: ontology")
     for name, attributes in made.nodes.items():
         _gather(attributes, f"{path}: node {name!r:.40}")
     return from_networkx(made, f"{path}")

@@ -1,20 +1,24 @@
 """Scene graphs as JSON: one graph a .json file, or one a line of a .jsonl file.
 
 `{"nodes": [{"id", "label", "position", "normal", "width"}, ...], "edges": [[u, v], ...], ...}`:
-`normal` and `width` are null for all but planes, `edges` are the part-of edges, child first, by id.
-Proximity edges, if the graph has any, are under `proximity_edges`. Numbers survive exactly.
+`label` is the name of a concept, `normal` and `width` are null for concepts that have none, `edges`
+are the part-of edges, the part first, by id. Proximity edges, if the graph has any, are under
+`proximity_edges`; concepts that are not the paper's under `ontology`. Numbers survive exactly.
 """
 
 from typing import Any
 
 import numpy as np
 
-from sg3d_jax.io.files import (
-    number,
-    vector,
+from sg3d_jax.io.files import vector
+from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
+from sg3d_jax.scene.graph import (
+    SceneGraph,
+    ontology_of,
+    parts_first,
+    undirected_edges,
 )
-from sg3d_jax.scene.ontology import CONCEPTS, PART_OF, PLANE, PROXIMITY
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.ontology import FEATURES, PROXIMITY, Ontology
 from sg3d_jax.scene.validate import validate_graph
 
 
@@ -28,23 +32,17 @@ def graph_to_dict(graph: SceneGraph, **extra: Any) -> dict[str, Any]:
     Returns:
       The document; node ids are row numbers.
     """
-    label = np.asarray(graph.nodes.label)
-    columns = (np.asarray(field).tolist() for field in graph.nodes[:4])
+    names, absent = ontology_of(graph).names, dict.fromkeys(FEATURES)
+    columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
     nodes = [
-        {
-            "id": row,
-            "label": CONCEPTS[concept],
-            "position": position,
-            "normal": normal if concept == PLANE else None,
-            "width": width if concept == PLANE else None,
-        }
-        for row, (concept, position, normal, width) in enumerate(zip(*columns, strict=True))
+        {"id": row, "label": names[label], "position": position, **absent, **owned}
+        for row, (label, position, owned) in enumerate(
+            zip(*columns, features_by_row(graph), strict=True)
+        )
     ]
-    pairs = undirected_edges(graph, PART_OF)
-    child_first = np.take_along_axis(pairs, np.argsort(label[pairs], axis=1, kind="stable"), axis=1)
-    proximity = undirected_edges(graph, PROXIMITY).tolist()
+    edges, proximity = parts_first(graph).tolist(), undirected_edges(graph, PROXIMITY).tolist()
     optional = {"proximity_edges": proximity} if proximity else {}
-    return dict(nodes=nodes, edges=child_first.tolist(), **optional, **extra)
+    return dict(**stated(ontology_of(graph)), nodes=nodes, edges=edges, **optional, **extra)
 
 
 def graph_from_dict(document: Any, where: str = "graph") -> SceneGraph:
@@ -63,39 +61,28 @@ def graph_from_dict(document: Any, where: str = "graph") -> SceneGraph:
     for key in ("nodes", "edges"):
         if not isinstance(document, dict) or not isinstance(document.get(key), list):
             raise ValueError(f"{where}: there is no list {key!r}, expected nodes and edges")
-    nodes = document["nodes"]
-    rows = [_node(node, f"{where}: nodes[{index}]") for index, node in enumerate(nodes)]
-    label, position, normal, width = zip(*rows, strict=True) if rows else ((), (), (), ())
+    ontology, nodes = ontology_in(document, where), document["nodes"]
+    rows = [_node(node, ontology, f"{where}: nodes[{index}]") for index, node in enumerate(nodes)]
     row_of_id = _rows_by_id(nodes, where)
-    graph = make_graph(
-        label,
-        np.asarray(position, np.float64),
-        np.asarray(normal, np.float64),
-        np.asarray(width, np.float64),
-        part_of=_pairs(document, "edges", row_of_id, where),
-        proximity=_pairs(document, "proximity_edges", row_of_id, where),
-    )
+    part_of = _pairs(document, "edges", row_of_id, where)
+    proximity = _pairs(document, "proximity_edges", row_of_id, where)
+    graph = graph_of(rows, ontology, part_of, proximity)
     validate_graph(graph, where, rules=False)
     return graph
 
 
-def _node(node: Any, where: str) -> tuple[int, list[float], list[float], float]:
-    """Returns label, position, normal and width; null becomes zero."""
+def _node(node: Any, ontology: Ontology, where: str) -> Record:
     if not isinstance(node, dict):
         raise ValueError(f"{where} is {node!r:.40}, expected an object")
     for key in ("id", "label", "position"):
         if key not in node:
             raise ValueError(f"{where} lacks {key!r}, expected id, label and position")
-    if node["label"] not in CONCEPTS:
-        names = ", ".join(CONCEPTS)
+    if node["label"] not in ontology.names:
+        names = ", ".join(ontology.names)
         raise ValueError(f"{where}.label is {node['label']!r:.40}, expected one of {names}")
-    normal, width = node.get("normal"), node.get("width")
-    return (
-        CONCEPTS.index(node["label"]),
-        vector(node["position"], f"{where}.position"),
-        [0.0, 0.0, 0.0] if normal is None else vector(normal, f"{where}.normal"),
-        0.0 if width is None else number(width, f"{where}.width"),
-    )
+    position = vector(node["position"], f"{where}.position")
+    label = ontology.names.index(node["label"])
+    return Record(label, position, features_in(node, where))
 
 
 def _rows_by_id(nodes: list[dict[str, Any]], where: str) -> dict[int | str, int]:
@@ -112,12 +99,11 @@ def _rows_by_id(nodes: list[dict[str, Any]], where: str) -> dict[int | str, int]
 
 def _pairs(
     document: dict[str, Any], key: str, row_of_id: dict[int | str, int], where: str
-) -> np.ndarray:
+) -> list[list[int]]:
     edges = document.get(key, [])
     if not isinstance(edges, list):
         raise ValueError(f"{where}: {key} is no list, expected pairs of node ids")
-    rows = [_pair(edge, row_of_id, f"{where}: {key}[{i}]") for i, edge in enumerate(edges)]
-    return np.asarray(rows, np.int32).reshape(-1, 2)
+    return [_pair(edge, row_of_id, f"{where}: {key}[{i}]") for i, edge in enumerate(edges)]
 
 
 def _pair(edge: Any, row_of_id: dict[int | str, int], where: str) -> list[int]:

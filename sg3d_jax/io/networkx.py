@@ -1,9 +1,9 @@
 """Scene graphs as networkx graphs, and as the node-link documents that networkx reads and writes.
 
 Nodes have `concept`, `pos` and, if planes, `normal` and `width`; edges have `kind`, "part_of" or
-"proximity". Read, too, are the attributes of the authors' graphs: `type`, `center`, `normal`,
-`length`, `limits`, and edges that do not say what they are. Numbers survive exactly, and so does
-the order of the nodes.
+"proximity"; the graph has `ontology` if its concepts are not the paper's. Read, too, are the
+attributes of the authors' graphs: `type`, `center`, `normal`, `length`, `limits`, and edges that do
+not say what they are. Numbers survive exactly, and so does the order of the nodes.
 
 Source: the authors' graphs, as snt-arg/situational_graphs_datasets makes them.
 """
@@ -11,30 +11,36 @@ Source: the authors' graphs, as snt-arg/situational_graphs_datasets makes them.
 import math
 import reprlib
 from collections.abc import Hashable, Iterable, Mapping
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from sg3d_jax.io.files import number
+from sg3d_jax.io.records import Record, features_by_row, graph_of, ontology_in, stated
+from sg3d_jax.scene.graph import SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import (
-    CONCEPTS,
+    FEATURES,
+    PAPER_ONTOLOGY,
     PART_OF,
-    PART_OF_RULES,
-    PLANE,
     PROXIMITY,
     RELATIONS,
+    Ontology,
 )
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.validate import validate_graph
 
 if TYPE_CHECKING:
     import networkx
 
-LABELS: Final[Mapping[str, int]] = MappingProxyType(
-    {name: label for label, name in enumerate(CONCEPTS)} | {"ws": PLANE}
-)
+WALL_SURFACE: Final = "ws"  # how the authors call what is observed
 LENGTH_TOLERANCE: Final = 1e-6  # metres
+
+
+class _Kind(NamedTuple):
+    """What a reader has to know of a concept."""
+
+    label: int
+    owned: tuple[str, ...]  # features
+    foreign: dict[str, list[str]]  # features that others have, and the layers of these
 
 
 def to_networkx(graph: SceneGraph) -> "networkx.Graph":
@@ -48,7 +54,7 @@ def to_networkx(graph: SceneGraph) -> "networkx.Graph":
     """
     import networkx
 
-    made = networkx.Graph()
+    made = networkx.Graph(**stated(ontology_of(graph)))
     made.add_nodes_from(enumerate(_nodes(graph)))
     for kind, pairs in _edges(graph):
         made.add_edges_from(pairs, kind=kind)
@@ -67,7 +73,8 @@ def from_networkx(graph: "networkx.Graph", where: str = "graph") -> SceneGraph:
     """
     if graph.is_multigraph():
         raise ValueError(f"{where}: the graph is a multigraph, expected one edge a pair of nodes")
-    return graph_from_attributes(graph.nodes(data=True), graph.edges(data=True), where)
+    ontology = ontology_in(graph.graph, where)
+    return graph_from_attributes(graph.nodes(data=True), graph.edges(data=True), where, ontology)
 
 
 def graph_to_node_link(graph: SceneGraph, **attributes: Any) -> dict[str, Any]:
@@ -87,7 +94,8 @@ def graph_to_node_link(graph: SceneGraph, **attributes: Any) -> dict[str, Any]:
     ]
     nodes = [node | {"id": row} for row, node in enumerate(_nodes(graph))]
     kind = {"directed": False, "multigraph": False}
-    return kind | {"graph": attributes, "nodes": nodes, "edges": edges}
+    about = {**stated(ontology_of(graph)), **attributes}
+    return kind | {"graph": about, "nodes": nodes, "edges": edges}
 
 
 def graph_from_node_link(document: Any, where: str = "graph") -> SceneGraph:
@@ -108,10 +116,12 @@ def graph_from_node_link(document: Any, where: str = "graph") -> SceneGraph:
     links = "links" if "edges" not in document and "links" in document else "edges"
     nodes = _objects(document, "nodes", ("id",), where)
     edges = _objects(document, links, ("source", "target"), where)
+    about = document.get("graph")
     return graph_from_attributes(
         ((node["id"], node) for node in nodes),
         ((edge["source"], edge["target"], edge) for edge in edges),
         where,
+        ontology_in(about if isinstance(about, dict) else {}, where),
     )
 
 
@@ -119,51 +129,62 @@ def graph_from_attributes(
     nodes: Iterable[tuple[Any, Mapping[str, Any]]],
     edges: Iterable[tuple[Any, Any, Mapping[str, Any]]],
     where: str,
+    ontology: Ontology = PAPER_ONTOLOGY,
 ) -> SceneGraph:
     """Returns the host graph of nodes and edges with attributes, ours or the authors'.
 
     Args:
       nodes: id and attributes of each node, in the order that the rows are to have.
       edges: ids of both ends and attributes of each edge, each pair once. An edge without `kind`
-        is told by its ends: two planes are near each other, a child is part of its parent.
+        is told by its ends: what is observed is near each other, a part is part of its whole.
       where: what an error starts with.
+      ontology: the concepts.
 
     Raises:
       ValueError: one sentence that names the node or edge, the field and what was expected.
     """
     row_of_id: dict[Any, int] = {}
-    rows = []
+    rows: list[Record] = []
+    kinds = _kinds(ontology)
     for name, attributes in nodes:
         if not isinstance(name, Hashable):
             raise ValueError(f"{where}: a node has id {_text(name)}, expected a number or a name")
         if row_of_id.setdefault(name, len(rows)) != len(rows):
             raise ValueError(f"{where}: node {_text(name)} is there twice, expected unique ids")
-        rows.append(_row(attributes, f"{where}: node {_plain(name)!r:.40}"))
-    label, position, normal, width = zip(*rows, strict=True) if rows else ((), (), (), ())
+        rows.append(_row(attributes, kinds, f"{where}: node {_plain(name)!r:.40}"))
     pairs: tuple[list[list[int]], ...] = tuple([] for _ in RELATIONS)
     for source, target, attributes in edges:
         ends = [_end(row_of_id, end, where) for end in (source, target)]
         edge = f"{where}: edge ({_plain(source)!r:.40}, {_plain(target)!r:.40})"
-        pairs[_relation(attributes, [label[end] for end in ends], edge)].append(ends)
-    graph = make_graph(
-        label,
-        np.asarray(position, np.float64),
-        np.asarray(normal, np.float64),
-        width,
-        part_of=np.asarray(pairs[PART_OF]),
-        proximity=np.asarray(pairs[PROXIMITY]),
-    )
+        labels = [rows[end].label for end in ends]
+        pairs[_relation(attributes, labels, ontology, edge)].append(ends)
+    graph = graph_of(rows, ontology, pairs[PART_OF], pairs[PROXIMITY])
     validate_graph(graph, where, rules=False)
     return graph
 
 
+def _kinds(ontology: Ontology) -> dict[str, _Kind]:
+    """Returns the kinds of nodes by the names that they may have, ours and the authors'."""
+    kinds = {}
+    for label, concept in enumerate(ontology.concepts):
+        owned = tuple(name for name in FEATURES if name in concept.features)
+        foreign = {
+            name: [each.layer.lower() for each in ontology.concepts if name in each.features]
+            for name in FEATURES
+            if name not in owned
+        }
+        kinds[concept.name] = _Kind(label, owned, foreign)
+    observed = ontology.names[int(ontology.is_observed.argmax())]
+    return {WALL_SURFACE: kinds[observed]} | kinds
+
+
 def _nodes(graph: SceneGraph) -> list[dict[str, Any]]:
     """Returns the attributes of each node."""
-    columns = (np.asarray(field).tolist() for field in graph.nodes[:4])
+    names = ontology_of(graph).names
+    columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
     return [
-        {"concept": CONCEPTS[label], "pos": position}
-        | ({"normal": normal, "width": width} if label == PLANE else {})
-        for label, position, normal, width in zip(*columns, strict=True)
+        {"concept": names[label], "pos": position} | owned
+        for label, position, owned in zip(*columns, features_by_row(graph), strict=True)
     ]
 
 
@@ -191,25 +212,29 @@ def _objects(
     return items
 
 
-def _row(attributes: Mapping[str, Any], where: str) -> tuple[int, list[float], list[float], float]:
-    """Returns label, position, normal and width of a node."""
+def _row(attributes: Mapping[str, Any], kinds: Mapping[str, _Kind], where: str) -> Record:
+    """Returns what the attributes of a node say."""
     ours = "concept" in attributes
-    field, names = "concept" if ours else "type", ", ".join(CONCEPTS)
-    if field not in attributes:
-        raise ValueError(f"{where} lacks both 'concept' and 'type', expected one of {names}")
-    concept = attributes[field]
-    if not isinstance(concept, str) or concept not in LABELS:
-        raise ValueError(f"{where}: {field} is {_text(concept)}, expected one of {names}")
-    position = _vector(attributes, "pos" if ours else "center", where)
-    if LABELS[concept] == PLANE:
-        width = _number(_get(attributes, "width", where), "width", where) if ours else None
-        width = _width(attributes, where) if width is None else width
-        return PLANE, position, _vector(attributes, "normal", where), width
-    for field in ("normal", "width") if ours else ():  # the authors' rooms and walls have some
-        if attributes.get(field) is not None:
-            held = _text(attributes[field])
-            raise ValueError(f"{where}: {field} is {held}, expected none: only planes have one")
-    return LABELS[concept], position, [0.0, 0.0, 0.0], 0.0
+    field = "concept" if ours else "type"
+    concept = attributes.get(field)
+    if not isinstance(concept, str) or concept not in kinds:
+        expected = f"one of {', '.join(name for name in kinds if name != WALL_SURFACE)}"
+        if field not in attributes:
+            raise ValueError(f"{where} lacks both 'concept' and 'type', expected {expected}")
+        raise ValueError(f"{where}: {field} is {_text(concept)}, expected {expected}")
+    kind = kinds[concept]
+    position = _numbers(attributes, "pos" if ours else "center", (3,), where)
+    for name, owners in kind.foreign.items() if ours else ():  # the authors' rooms have some
+        if attributes.get(name) is not None:
+            expected = f"none: only {' and '.join(owners) or 'others'} have one"
+            raise ValueError(f"{where}: {name} is {_text(attributes[name])}, expected {expected}")
+    features = {
+        name: _width(attributes, where)
+        if name == "width" and not ours
+        else _numbers(attributes, name, FEATURES[name], where)
+        for name in kind.owned
+    }
+    return Record(kind.label, position, features)
 
 
 def _width(attributes: Mapping[str, Any], where: str) -> float:
@@ -246,11 +271,16 @@ def _get(attributes: Mapping[str, Any], field: str, where: str) -> Any:
     return attributes[field]
 
 
-def _vector(attributes: Mapping[str, Any], field: str, where: str) -> list[float]:
+def _numbers(attributes: Mapping[str, Any], field: str, shape: tuple[int, ...], where: str) -> Any:
+    """Returns a number, or a list of as many as its shape says."""
     value = _plain(_get(attributes, field, where))
-    if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise ValueError(f"{where}: {field} is {_text(value)}, expected three numbers")
-    return [_number(item, field, where) for item in value]
+    if not shape:
+        return _number(value, field, where)
+    (length,) = shape
+    if not isinstance(value, (list, tuple)) or len(value) != length:
+        many = "three" if length == 3 else length
+        raise ValueError(f"{where}: {field} is {_text(value)}, expected {many} numbers")
+    return [item if type(item) is float else _number(item, field, where) for item in value]
 
 
 def _number(value: Any, field: str, where: str) -> float:
@@ -270,7 +300,9 @@ def _end(row_of_id: Mapping[Any, int], name: Any, where: str) -> int:
     return row_of_id[name]
 
 
-def _relation(attributes: Mapping[str, Any], labels: list[int], where: str) -> int:
+def _relation(
+    attributes: Mapping[str, Any], labels: list[int], ontology: Ontology, where: str
+) -> int:
     kind = attributes.get("kind")
     if kind is not None:
         if kind not in RELATIONS:
@@ -278,12 +310,12 @@ def _relation(attributes: Mapping[str, Any], labels: list[int], where: str) -> i
             raise ValueError(f"{where}: kind is {_text(kind)}, expected {names}")
         return RELATIONS.index(kind)
     low, high = sorted(labels)
-    if low == high == PLANE:
-        return PROXIMITY
-    if (low, high) in PART_OF_RULES:
+    if ontology.may_be_part[low, high]:
         return PART_OF
-    joined = f"joins {CONCEPTS[low]} and {CONCEPTS[high]}"
-    raise ValueError(f"{where} {joined}, expected two planes, or a child and its parent")
+    if ontology.is_observed[low] and ontology.is_observed[high]:
+        return PROXIMITY
+    joined = f"joins {ontology.names[low]} and {ontology.names[high]}"
+    raise ValueError(f"{where} {joined}, expected two that are observed, or a part and its whole")
 
 
 def _text(value: Any) -> str:

@@ -2,7 +2,8 @@
 
 The arrays of all graphs are concatenated; graph g owns nodes `node_offset[g]:node_offset[g + 1]`
 and edges `edge_offset[g]:edge_offset[g + 1]`. An edge is a pair of node indices of its own graph
-and stands for both directions. `header` is a JSON object: what the data are and how they were made.
+and stands for both directions. `header` is a JSON object: what the data are and how they were made,
+and their `ontology`, if that is not the paper's. A feature that a file lacks is zero.
 """
 
 import json
@@ -13,13 +14,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from sg3d_jax.io.files import replacing
-from sg3d_jax.scene.ontology import NUM_RELATIONS, PART_OF, PROXIMITY
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.io.records import ontology_in, stated
+from sg3d_jax.scene.graph import SceneGraph, make_graph, ontology_of, undirected_edges
+from sg3d_jax.scene.ontology import FEATURES, NUM_RELATIONS, PART_OF, PROXIMITY, Ontology
 from sg3d_jax.scene.validate import validate_graph
 
 VERSION: Final = 1
 UNITS: Final = "metres"
-
 
 # Type and shape of one row of each array; `g` graphs, `n` nodes, `e` undirected edges.
 FIELDS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {
@@ -27,12 +28,11 @@ FIELDS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {
     "edge_offset": ("int64", ()),  # [g + 1]
     "label": ("int32", ()),  # [n]
     "position": ("float64", (3,)),  # [n, 3], metres
-    "normal": ("float64", (3,)),  # [n, 3]
-    "width": ("float64", ()),  # [n], metres
+    **{name: ("float64", shape) for name, shape in FEATURES.items()},  # [n, ...]
     "edges": ("int32", (2,)),  # [e, 2]
     "relation": ("int32", ()),  # [e]
 }
-NODE_FIELDS: Final = ("label", "position", "normal", "width")
+NODE_FIELDS: Final = ("label", "position", *FEATURES)
 EDGE_FIELDS: Final = ("edges", "relation")
 
 Arrays = dict[str, np.ndarray]
@@ -57,16 +57,22 @@ def save(
       path: of the file; it is replaced whole or left as it was.
       graphs: unpadded.
       header: JSON values, such as name, source, generator settings and seed. Schema version
-        and units are added.
+        and units are added, and the ontology of the graphs.
       rules: whether edges must respect the hierarchy, as in `validate_graph`.
 
     Raises:
-      ValueError: a graph is not sound, or the file cannot be written; nothing is written.
+      ValueError: a graph is not sound or has another ontology than the first, or the file cannot
+        be written; nothing is written.
     """
     path = Path(path)
     for index, graph in enumerate(graphs):
         validate_graph(graph, f"{path}: graph {index}", rules)
-    about = {**header, "schema": VERSION, "units": UNITS}
+        if ontology_of(graph) != ontology_of(graphs[0]):
+            problem = "has another ontology than graph 0, expected one a file"
+            raise ValueError(f"{path}: graph {index} {problem}")
+    about = {key: value for key, value in header.items() if key != "ontology"}
+    about |= {"schema": VERSION, "units": UNITS}
+    about |= stated(ontology_of(graphs[0])) if graphs else {}
     arrays: dict[str, Any] = {"header": np.array(json.dumps(about)), **_concatenate(graphs)}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
@@ -87,11 +93,12 @@ def load(path: str | Path, rules: bool = True) -> Dataset:
     """
     content = _read(Path(path))
     header = _header(content, path)
+    ontology = ontology_in(header, f"{path}: header")
     arrays = _checked(content, path)
     graphs = []
     for index in range(len(arrays["node_offset"]) - 1):
         where = f"{path}: graph {index}"
-        graph = _graph(arrays, index, where)
+        graph = _graph(arrays, index, ontology, where)
         validate_graph(graph, where, rules)
         graphs.append(graph)
     return Dataset(graphs, header)
@@ -142,6 +149,9 @@ def _header(content: Mapping[str, np.ndarray], path: str | Path) -> dict[str, An
 
 def _checked(content: Mapping[str, np.ndarray], path: str | Path) -> Arrays:
     """Returns the arrays of a file if their types and sizes fit together."""
+    num_nodes = np.size(content.get("label", ()))
+    missing = {name: np.zeros((num_nodes, *shape)) for name, shape in FEATURES.items()}
+    content = missing | dict(content)
     for name, (dtype, row) in FIELDS.items():
         if name not in content:
             raise ValueError(f"{path}: array {name} is missing")
@@ -165,7 +175,7 @@ def _check_offset(offset: np.ndarray, num_rows: int, where: str, name: str) -> N
         raise ValueError(f"{where} does not rise from 0 to {num_rows}, the length of {name}")
 
 
-def _graph(arrays: Arrays, index: int, where: str) -> SceneGraph:
+def _graph(arrays: Arrays, index: int, ontology: Ontology, where: str) -> SceneGraph:
     """Returns one graph of a file; what its values mean is not checked yet, save the relations."""
     nodes = slice(*arrays["node_offset"][index : index + 2])
     edges = slice(*arrays["edge_offset"][index : index + 2])
@@ -175,7 +185,8 @@ def _graph(arrays: Arrays, index: int, where: str) -> SceneGraph:
         held = f"relation {relation[unknown][0]}, expected 0 to {NUM_RELATIONS - 1}"
         raise ValueError(f"{where}: edge {pairs[unknown][0].tolist()} has {held}")
     return make_graph(
-        *(arrays[name][nodes] for name in NODE_FIELDS),
+        **{name: arrays[name][nodes] for name in NODE_FIELDS},
         part_of=pairs[relation == PART_OF],
         proximity=pairs[relation == PROXIMITY],
+        ontology=ontology,
     )

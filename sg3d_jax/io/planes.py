@@ -1,8 +1,11 @@
-"""Observed planes as JSON documents and as CSV files, one scene each.
+"""Observed planes as arrays, as JSON documents and as CSV files, one scene each.
 
-JSON: `{"planes": [{"centroid": [x, y, z], "normal": [x, y, z], "width": w}, ...]}`.
+JSON: `{"planes": [{"centroid": [x, y, z], "normal": [x, y, z], "width": w}, ...]}`. If the document
+has an `ontology`, there is such a list for every concept that is observed, under its layer's name
+in lower case, and what is in it has the features of the concept.
 CSV: a header `cx,cy,cz,nx,ny,nz,width`, in any order, then one plane a row. All in metres; normals
-point into the room. Numbers are kept as they are given, so that planes leave as they came.
+point into the room. Numbers are kept as they are given, so that planes leave as they came, but for
+normals off unit length by rounding to two decimals, which are brought to it.
 """
 
 import csv
@@ -12,13 +15,54 @@ from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.io.files import number, read_text, vector, write_document
-from sg3d_jax.scene.ontology import PLANE
-from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of
-from sg3d_jax.scene.validate import validate_planes
+from sg3d_jax.io.files import read_text, vector, write_document
+from sg3d_jax.io.records import Record, feature, features_by_row, graph_of, ontology_in, stated
+from sg3d_jax.scene.graph import Array, SceneGraph, make_graph, observed_of, ontology_of
+from sg3d_jax.scene.ontology import FEATURES, PAPER_ONTOLOGY, Concept, Ontology
+from sg3d_jax.scene.validate import checked_observed
 
 COLUMNS: Final = ("cx", "cy", "cz", "nx", "ny", "nz", "width")
-FIELDS: Final = ("centroid", "normal", "width")
+
+
+def planes(
+    centroid: Array, normal: Array, width: Array, ontology: Ontology = PAPER_ONTOLOGY
+) -> SceneGraph:
+    """Returns observed planes as a host graph without edges.
+
+    What they hold is not looked at here: `complete` refuses what nothing can be grown from.
+
+    Args:
+      centroid: float[n, 3], metres.
+      normal: float[n, 3], unit, into the room.
+      width: float[n], metres.
+      ontology: whose first observed concept with normals and widths they are.
+
+    Raises:
+      ValueError: an array has another shape, or nothing that is observed has normals and widths.
+    """
+    having = ontology.is_observed & ontology.has("normal") & ontology.has("width")
+    if not having.any():
+        raise ValueError(
+            "planes: nothing observed has normal and width, expected that something has"
+        )
+    given = {"centroid": (centroid, (3,)), "normal": (normal, (3,)), "width": (width, ())}
+    arrays: list[np.ndarray] = []
+    for name, (values, row) in given.items():
+        array = _array(values, f"planes: {name}")
+        count = len(arrays[0]) if arrays else array.shape[0] if array.ndim else 1
+        if array.shape != (count, *row):
+            held, expected = list(array.shape), [count, *row]
+            raise ValueError(f"planes: {name} has shape {held}, expected {expected}")
+        arrays.append(array)
+    label = np.full(len(arrays[0]), having.argmax())
+    return make_graph(label, *arrays, ontology=ontology)
+
+
+def _array(values: Array, where: str) -> np.ndarray:
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:  # ragged, or no numbers
+        raise ValueError(f"{where} is no array of numbers, expected a row a plane") from error
 
 
 def planes_from_csv(path: str | Path) -> SceneGraph:
@@ -27,53 +71,66 @@ def planes_from_csv(path: str | Path) -> SceneGraph:
     Raises:
       ValueError: one sentence that names the file, the line or plane, and the field.
     """
-    return _scene(_read_rows(path), f"{path}")
+    table = np.array(_read_rows(path), np.float64).reshape(-1, len(COLUMNS))
+    return checked_observed(planes(table[:, :3], table[:, 3:6], table[:, 6]), f"{path}")
 
 
 def planes_from_dict(document: Any, where: str) -> SceneGraph:
     """Returns the planes of `{"planes": [...]}` as a host graph without edges.
 
     Args:
-      document: parsed JSON, not yet trusted.
+      document: parsed JSON, not yet trusted; with an `ontology`, a list for every concept that is
+        observed.
       where: what an error starts with, such as "planes.jsonl: line 3".
+
+    Returns:
+      The nodes of each concept in their order, by concept.
 
     Raises:
       ValueError: one sentence that names the plane, the field and what was expected.
     """
-    _check_keys(document, ("planes",), f"{where}: the scene")
-    if not isinstance(document["planes"], list):
-        raise ValueError(f"{where}: planes is no list, expected a list of planes")
-    return _scene([_row(plane, where, i) for i, plane in enumerate(document["planes"])], where)
+    about = document if isinstance(document, dict) else {}
+    ontology = ontology_in(about, where)
+    lists = {
+        concept.layer.lower(): (label, concept)
+        for label, concept in enumerate(ontology.concepts)
+        if concept.observed
+    }
+    expected = ("ontology", *lists) if "ontology" in about else (*lists,)
+    _check_keys(document, expected, f"{where}: the scene")
+    records = []
+    for key, (label, concept) in lists.items():
+        if not isinstance(document[key], list):
+            raise ValueError(f"{where}: {key} is no list, expected a list of {key}")
+        records += [
+            _record(item, label, concept, f"{where}: {key}[{index}]")
+            for index, item in enumerate(document[key])
+        ]
+    return checked_observed(graph_of(records, ontology), where)
 
 
 def planes_to_dict(graph: SceneGraph) -> dict[str, Any]:
-    """Returns the planes of a host graph as `{"planes": [...]}`."""
-    nodes = observed_of(graph).nodes
-    columns = (np.asarray(field).tolist() for field in (nodes.position, nodes.normal, nodes.width))
-    planes = [dict(zip(FIELDS, plane, strict=True)) for plane in zip(*columns, strict=True)]
-    return {"planes": planes}
+    """Returns the planes of a host graph as `{"planes": [...]}`, and what else is observed."""
+    observed = observed_of(graph)
+    concepts = ontology_of(graph).concepts
+    lists: dict[str, list[Any]] = {c.layer.lower(): [] for c in concepts if c.observed}
+    columns = observed.nodes.label.tolist(), observed.nodes.position.tolist()
+    for label, centroid, owned in zip(*columns, features_by_row(observed), strict=True):
+        lists[concepts[label].layer.lower()].append({"centroid": centroid, **owned})
+    return {**stated(ontology_of(graph)), **lists}
 
 
 def write_planes(path: str | Path, graph: SceneGraph) -> None:
-    """Writes the planes of a host graph as JSON, exactly."""
+    """Writes the planes of a host graph, and what else is observed, as JSON, exactly."""
     write_document(path, planes_to_dict(graph))
 
 
-def _scene(rows: Sequence[Sequence[float]], where: str) -> SceneGraph:
-    """Returns checked planes as a graph; a row is centroid, normal, width."""
-    table = np.asarray(rows, np.float64).reshape(-1, len(COLUMNS))
-    position, normal, width = table[:, :3], table[:, 3:6], table[:, 6]
-    validate_planes(position, normal, width, where)
-    no_edges = np.zeros((0, 2), np.int32)
-    return make_graph([PLANE] * len(width), position, normal, width, no_edges)
-
-
-def _row(plane: Any, where: str, index: int) -> list[float]:
-    where = f"{where}: planes[{index}]"
-    _check_keys(plane, FIELDS, where)
-    centroid = vector(plane["centroid"], f"{where}.centroid")
-    normal = vector(plane["normal"], f"{where}.normal")
-    return [*centroid, *normal, number(plane["width"], f"{where}.width")]
+def _record(item: Any, label: int, concept: Concept, where: str) -> Record:
+    names = [name for name in FEATURES if name in concept.features]
+    _check_keys(item, ("centroid", *names), where)
+    centroid = vector(item["centroid"], f"{where}.centroid")
+    features = {name: feature(name, item[name], f"{where}.{name}") for name in names}
+    return Record(label, centroid, features)
 
 
 def _check_keys(item: Any, expected: Sequence[str], where: str) -> None:

@@ -1,6 +1,6 @@
 """The data sets as their authors published them: zips of pickled networkx graphs.
 
-A zip holds one pickle, a list of `networkx.Graph`. It is read as data (`data.pickles`): no class or
+A zip holds one pickle, a list of `networkx.Graph`. It is read as data (`io.pickles`): no class or
 function of any package ever sees what is in it. What is kept of a node is its type, its centre and,
 of planes, normal and width; of an edge, its ends. Edges are told by what they join: two planes are
 near each other, anything else is a part and its whole.
@@ -25,10 +25,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.io.pickles import Asked, Name, read_pickle
 from sg3d_jax.io.networkx import graph_from_attributes
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.io.pickles import Asked, Name, read_pickle
+from sg3d_jax.scene.graph import SceneGraph, subgraph
 
 EXPECTED: Final = "a pickled list of networkx graphs"
 SUFFIXES: Final = (".pkl", ".pickle", ".p", ".gpickle")
@@ -149,13 +148,7 @@ def _scene(graph: Any, where: str) -> SceneGraph:
     if not isinstance(nodes, dict) or not isinstance(adjacency, dict):
         raise ValueError(f"{where}: there are no {' and '.join(_KEPT)}, expected a networkx graph")
     read = graph_from_attributes(_nodes(nodes, where), _edges(adjacency, where), where)
-    order = np.argsort(read.nodes.label, kind="stable")
-    row = np.argsort(order)
-    return make_graph(
-        *(field[order] for field in read.nodes[:4]),
-        part_of=row[undirected_edges(read, PART_OF)],
-        proximity=row[undirected_edges(read, PROXIMITY)],
-    )
+    return subgraph(read, np.argsort(read.nodes.label, kind="stable"))
 
 
 def _nodes(nodes: dict[Any, Any], where: str) -> Iterator[tuple[int | str, dict[str, Any]]]:

@@ -22,9 +22,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from sg3d_jax.io.files import field, number
-from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
-from sg3d_jax.scene.validate import PLANE_UNIT_TOLERANCE, validate_graph, validate_planes
+from sg3d_jax.io.planes import planes
+from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
+from sg3d_jax.scene.validate import INTAKE_UNIT_TOLERANCE, checked_observed, validate_graph
 
 AXES: Final = ("x_planes", "y_planes")  # by the larger part of the normal
 MAX_LEAN: Final = 0.5  # |z| of a unit normal: 30 degrees off the vertical is no wall any more
@@ -100,7 +101,8 @@ def graph_to_messages(graph: SceneGraph) -> dict[str, Any]:
     """Returns a host graph as messages of one map, for `graph_from_messages` or S-Graphs.
 
     S-Graphs takes rooms of two x_planes and two y_planes, or of two of one axis only, and walls of
-    two planes; the message holds them all. There is none for buildings and cities.
+    two planes; the message holds them all. There is none for buildings and cities, nor for any
+    other concept; in an ontology that is not the paper's, its names tell what is meant.
 
     Args:
       graph: unpadded, metres.
@@ -108,11 +110,10 @@ def graph_to_messages(graph: SceneGraph) -> dict[str, Any]:
     Returns:
       "planes", a PlanesData; "walls", a WallsData; "rooms", a RoomsData; "floors", of FloorData.
     """
-    label = np.asarray(graph.nodes.label)
     planes, children = _plane_records(graph), _planes_by_parent(graph)
 
     def records(concept: int) -> list[tuple[int, dict[str, Any], list[dict[str, Any]]]]:
-        rows = np.flatnonzero(label == concept).tolist()
+        rows = _rows(graph, concept)
         points = [_xyz(graph.nodes.position[row]) for row in rows]
         parts = [[planes[child] for child in children.get(row, [])] for row in rows]
         return list(zip(rows, points, parts, strict=True))
@@ -167,8 +168,7 @@ def graph_to_reasoning(graph: SceneGraph, name: str = "ONLINE") -> dict[str, Any
       graph: unpadded, metres.
       name: of the message; S-Graphs uses "ONLINE" for its map and "Prior" for a plan.
     """
-    label, planes = np.asarray(graph.nodes.label), _plane_records(graph)
-    rooms, children = np.flatnonzero(label == ROOM).tolist(), _planes_by_parent(graph)
+    planes, rooms, children = _plane_records(graph), _rows(graph, ROOM), _planes_by_parent(graph)
     geometry = [(PLANE, i, [p[key] for key in ("nx", "ny", "nz", "d")]) for i, p in planes.items()]
     geometry += [(ROOM, i, [*graph.nodes.position[i, :2].tolist(), 0.0]) for i in rooms]
     return {
@@ -201,10 +201,7 @@ def _planes(message: Any, where: str) -> tuple[SceneGraph, dict[int, int]]:
             seen[name] = _plane(record, here)
     rows = {name: row for name, row in sorted(seen.items()) if row is not None}
     table = np.array([*rows.values()], np.float64).reshape(-1, 7)
-    position, normal, width = table[:, :3], table[:, 3:6], table[:, 6]
-    validate_planes(position, normal, width, where)
-    no_edges = np.zeros((0, 2), np.int32)
-    graph = make_graph([PLANE] * len(table), position, normal, width, no_edges)
+    graph = checked_observed(planes(table[:, :3], table[:, 3:6], table[:, 6]), where)
     return graph, {name: row for row, name in enumerate(rows)}
 
 
@@ -213,7 +210,7 @@ def _plane(record: dict[str, Any], where: str) -> np.ndarray | None:
     normal = np.array([_finite(record, key, where) for key in ("nx", "ny", "nz")])
     with np.errstate(over="ignore"):
         length = float(np.linalg.norm(normal))
-    if abs(length - 1) > PLANE_UNIT_TOLERANCE:
+    if abs(length - 1) > INTAKE_UNIT_TOLERANCE:
         held = ", ".join(f"{part:.6g}" for part in normal)
         raise ValueError(f"{where} has the normal [{held}], expected length 1")
     if abs(normal[2]) > MAX_LEAN:
@@ -284,14 +281,8 @@ def _assembled(
         if part.label == ROOM and floors:
             nearest = int(np.argmin(np.abs(heights - part.position[2])))
             pairs.append((row, num_planes + len(parts) + nearest))
-    position = np.array([node.position for node in nodes], np.float64).reshape(-1, 3)
-    graph = make_graph(
-        [*[PLANE] * num_planes, *(node.label for node in nodes)],
-        np.concatenate([planes.nodes.position, position]),
-        np.concatenate([planes.nodes.normal, np.zeros_like(position)]),
-        np.concatenate([planes.nodes.width, np.zeros(len(nodes))]),
-        np.array(pairs, np.int32),
-    )
+    label, position = [node.label for node in nodes], [node.position for node in nodes]
+    graph = extended(planes, label, np.array(position, np.float64), np.array(pairs, np.int32))
     validate_graph(graph, where)
     return graph
 
@@ -346,22 +337,26 @@ def _finite(record: Any, key: str, where: str) -> float:
     return value
 
 
+def _rows(graph: SceneGraph, concept: int) -> list[int]:
+    """Returns the rows of one of the paper's concepts, which its name tells in any ontology."""
+    names, name = ontology_of(graph).names, PAPER_ONTOLOGY.names[concept]
+    return [row for row, label in enumerate(graph.nodes.label.tolist()) if names[label] == name]
+
+
 def _planes_by_parent(graph: SceneGraph) -> dict[int, list[int]]:
-    label = np.asarray(graph.nodes.label)
-    children: dict[int, list[int]] = {}
-    for pair in undirected_edges(graph, PART_OF).tolist():
-        for child, parent in (pair, pair[::-1]):
-            if label[child] == PLANE != label[parent]:
-                children.setdefault(parent, []).append(child)
+    planes, children = set(_rows(graph, PLANE)), dict[int, list[int]]()
+    for part, whole in parts_first(graph).tolist():
+        if part in planes and whole not in planes:
+            children.setdefault(whole, []).append(part)
     return children
 
 
 def _plane_records(graph: SceneGraph) -> dict[int, dict[str, Any]]:
     """Returns a PlaneData for every plane, by row."""
-    label, position, normal, width = (np.asarray(field) for field in graph.nodes[:4])
+    position, normal, width = graph.nodes.position, graph.nodes.normal, graph.nodes.width
     half = np.cross(np.array([0.0, 0.0, 1.0]), normal) * width[:, None] / 2
     records = {}
-    for row in np.flatnonzero(label == PLANE).tolist():
+    for row in _rows(graph, PLANE):
         nx, ny, nz = normal[row].tolist()
         records[row] = {
             "header": HEADER,

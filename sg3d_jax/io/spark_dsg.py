@@ -4,8 +4,9 @@ A concept is a layer: PLANES 2, WALLS 3, ROOMS 4, FLOORS 5, BUILDINGS 6, CITIES 
 the higher layer for the parent, so floors need a number between ROOMS and BUILDINGS and the latter
 are not 5 as in Hydra: look layers up by name. A node's id is its symbol, a letter and a row number
 (`p0`, `w4`, `R5`, `F6`, `B7`, `C8`), from which the order of the nodes is restored. What Spark-DSG
-has no field for is metadata: `normal` and `width` of a plane, `relation` of an edge. Numbers
-survive exactly, also if their library saves the file again.
+has no field for is metadata: `normal` and `width` of a plane, `relation` of an edge, and of the
+document its `ontology`, if its concepts are not the paper's. Numbers survive exactly, also if their
+library saves the file again.
 
 Source: MIT-SPARK/Spark-DSG 1.1.3, src/serialization/graph_json_serialization.cpp.
 Differs: a plane with a wall and a room has two parents, which Spark-DSG stores but its
@@ -18,17 +19,21 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.io.files import field, number, vector
-from sg3d_jax.scene.ontology import CONCEPTS, PART_OF, PLANE, PROXIMITY, RELATIONS, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.io.files import field, vector
+from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
+from sg3d_jax.scene.graph import (
+    SceneGraph,
+    ontology_of,
+    subgraph,
+    undirected_edges,
+)
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, RELATIONS, Concept, Ontology
 from sg3d_jax.scene.validate import validate_graph
-from sg3d_jax.viz.style import STYLES
 
 HEADER: Final = "SPARK_DSG_header"
 VERSION: Final = {"major": 1, "minor": 1, "patch": 3}
-LAYERS: Final = ("PLANES", "WALLS", "ROOMS", "FLOORS", "BUILDINGS", "CITIES")
 FIRST_LAYER: Final = 2  # 0 is unused in Hydra, 1 is the mesh
-LETTERS: Final = "pwRFBC"
+LAYER_OF_ROOMS: Final = "ROOMS"  # has a class of nodes of its own, as in Hydra
 NO_SEMANTIC_LABEL: Final = 2**32 - 1
 NO_ROTATION: Final = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
 NO_BOX: Final = np.zeros(3)
@@ -47,14 +52,11 @@ ATTRIBUTES: Final = (
 
 
 class _Node(NamedTuple):
-    """What a node of a document says; None becomes zero."""
+    """What a node of a document says."""
 
     id: int
-    label: int
-    position: list[float]
-    normal: list[float]
-    width: float
-    walls: list[int]  # ids
+    record: Record
+    wholes: dict[int, list[int]]  # ids that its metadata names, by label
 
 
 def graph_to_spark_dsg(
@@ -64,37 +66,40 @@ def graph_to_spark_dsg(
 
     Args:
       graph: unpadded, metres.
-      walls: where the edges between planes and walls go: "edges" like all others, or "metadata" of
-        the plane as a list of wall ids, which leaves every node at most one parent.
+      walls: where the edges between planes and walls go, and between any other part and a whole of
+        which it may have several: "edges" like all others, or "metadata" of the part as a list of
+        ids under the whole's layer, `walls`, which leaves every node at most one parent.
       **metadata: what else the document should say of itself, such as `halt_reason`; JSON values.
 
     Returns:
-      The document; every node but the planes is marked as predicted.
+      The document; every node that is not observed is marked as predicted.
 
     Raises:
       ValueError: `walls` is neither of the two.
     """
     if walls not in ("edges", "metadata"):
         raise ValueError(f"walls is {walls!r:.40}, expected 'edges' or 'metadata'")
-    keys = {name: {"layer": FIRST_LAYER + i, "partition": 0} for i, name in enumerate(LAYERS)}
-    label = np.asarray(graph.nodes.label)
-    ids = [_symbol(concept, row) for row, concept in enumerate(label.tolist())]
-    part_of = _parent_first(undirected_edges(graph, PART_OF), label)
+    ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
+    layers = [concept.layer for concept in ontology.concepts]
+    keys = {name: {"layer": FIRST_LAYER + i, "partition": 0} for i, name in enumerate(layers)}
+    ids = [_symbol(ontology.concepts[kind], row) for row, kind in enumerate(label.tolist())]
+    part_of, proximity = _wholes_first(graph), undirected_edges(graph, PROXIMITY)
     hidden = np.zeros(len(part_of), bool)
     if walls == "metadata":
-        hidden = (label[part_of] == (WALL, PLANE)).all(axis=-1)
-    walls_of: dict[int, list[int]] = {}
-    for wall, plane in part_of[hidden].tolist():
-        walls_of.setdefault(plane, []).append(ids[wall])
-    proximity = undirected_edges(graph, PROXIMITY)
+        hidden = _any_number(ontology)[tuple(label[part_of].T)]
+    kept = _kept_wholes(ontology)
+    wholes: dict[int, dict[str, list[int]]] = {}
+    for whole, part in part_of[hidden].tolist():
+        wholes.setdefault(part, {}).setdefault(kept[label[whole]], []).append(ids[whole])
+    about = {"generator": "sg3d_jax", "units": "m", **stated(ontology), **metadata}
     return {
         HEADER: {"project_name": "main", "version": VERSION},
         "directed": False,
         "multigraph": False,
-        "metadata": {"generator": "sg3d_jax", "units": "m", **metadata},
+        "metadata": about,
         "layer_keys": list(keys.values()),
         "layer_names": keys,
-        "nodes": _node_records(graph, ids, walls_of),
+        "nodes": _node_records(graph, ids, wholes),
         "edges": [
             *(_edge_record(ids[i], ids[j], PART_OF) for i, j in part_of[~hidden].tolist()),
             *(_edge_record(ids[i], ids[j], PROXIMITY) for i, j in proximity.tolist()),
@@ -120,9 +125,12 @@ def graph_from_spark_dsg(document: Any, where: str = "graph") -> SceneGraph:
         of a layer that is no concept of ours, such as OBJECTS, is refused.
     """
     _check_document(document, where)
-    layers = _layers(document, where)
+    about = document.get("metadata")
+    ontology = ontology_in(about if isinstance(about, dict) else {}, where)
+    labels = {concept.layer: label for label, concept in enumerate(ontology.concepts)}
+    layers, kept = _layers(document, labels, where), _kept_wholes(ontology)
     nodes = [
-        _node(node, layers, f"{where}: nodes[{index}]")
+        _node(node, layers, labels, kept, f"{where}: nodes[{index}]")
         for index, node in enumerate(document["nodes"])
     ]
     row_of_id = _rows_by_id(nodes, where)
@@ -130,81 +138,90 @@ def graph_from_spark_dsg(document: Any, where: str = "graph") -> SceneGraph:
     for index, edge in enumerate(document["edges"]):
         relation, pair = _edge(edge, nodes, row_of_id, f"{where}: edges[{index}]")
         pairs[relation].append(pair)
-    pairs[PART_OF].extend(_hidden_pairs(nodes, row_of_id, where))
-    graph = make_graph(
-        [node.label for node in nodes],
-        np.array([node.position for node in nodes], np.float64),
-        np.array([node.normal for node in nodes], np.float64),
-        np.array([node.width for node in nodes], np.float64),
-        part_of=np.array(pairs[PART_OF], np.int32),
-        proximity=np.array(pairs[PROXIMITY], np.int32),
-    )
+    pairs[PART_OF].extend(_hidden_pairs(nodes, row_of_id, ontology, where))
+    records = [node.record for node in nodes]
+    graph = graph_of(records, ontology, pairs[PART_OF], pairs[PROXIMITY])
     validate_graph(graph, where, rules=False)
-    return _in_order(graph, nodes)
+    return subgraph(graph, _order(nodes))
 
 
-def _symbol(concept: int, row: int) -> int:
-    return (ord(LETTERS[concept]) << SYMBOL_BITS) | row
+def _symbol(concept: Concept, row: int) -> int:
+    return (ord(concept.letter) << SYMBOL_BITS) | row
 
 
-def _parent_first(pairs: np.ndarray, label: np.ndarray) -> np.ndarray:
+def _wholes_first(graph: SceneGraph) -> np.ndarray:
+    """Returns the part-of edges, the upper concept first; between two of one, the lower row."""
+    label, pairs = np.asarray(graph.nodes.label), undirected_edges(graph, PART_OF)
     order = np.argsort(-label[pairs], axis=1, kind="stable")
     return np.take_along_axis(pairs, order, axis=1)
 
 
+def _any_number(ontology: Ontology) -> np.ndarray:
+    """Returns bool[C, C], whether a part (column) may have any number of a whole (row)."""
+    table = ontology.may_be_part.T.copy()
+    for part, whole in ontology.single_wholes:
+        table[whole, part] = False
+    return table
+
+
+def _kept_wholes(ontology: Ontology) -> dict[int, str]:
+    """Returns the keys under which metadata may keep wholes, by label of the whole."""
+    labels = np.flatnonzero(_any_number(ontology).any(axis=1)).tolist()
+    return {label: ontology.concepts[label].layer.lower() for label in labels}
+
+
 def _node_records(
-    graph: SceneGraph, ids: list[int], walls_of: Mapping[int, list[int]]
+    graph: SceneGraph, ids: list[int], wholes: Mapping[int, dict[str, list[int]]]
 ) -> list[dict[str, Any]]:
-    columns = (np.asarray(field).tolist() for field in graph.nodes[:4])
-    boxes = _boxes(graph)
-    records = []
-    for row, (concept, position, normal, width) in enumerate(zip(*columns, strict=True)):
-        metadata: dict[str, Any] = {}
-        if concept == PLANE:
-            metadata = {"normal": normal, "width": width}
-        if row in walls_of:
-            metadata["walls"] = walls_of[row]
-        records.append(
-            {
-                "id": ids[row],
-                "layer": FIRST_LAYER + concept,
-                "partition": 0,
-                "attributes": {
-                    **_attributes(concept, f"{CONCEPTS[concept]} {row}"),
-                    "position": position,
-                    "bounding_box": _box(*boxes[row]),
-                    "metadata": metadata,
-                },
-            }
-        )
-    return records
+    columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
+    owned, boxes = features_by_row(graph), _boxes(graph)
+    concepts = ontology_of(graph).concepts
+    return [
+        {
+            "id": ids[row],
+            "layer": FIRST_LAYER + label,
+            "partition": 0,
+            "attributes": {
+                **_attributes(concepts[label], row),
+                "position": position,
+                "bounding_box": _box(*boxes[row]),
+                "metadata": owned[row] | wholes.get(row, {}),
+            },
+        }
+        for row, (label, position) in enumerate(zip(*columns, strict=True))
+    ]
 
 
-def _attributes(concept: int, name: str) -> dict[str, Any]:
+def _attributes(concept: Concept, row: int) -> dict[str, Any]:
     """Returns the attributes that do not depend on geometry, every field of their class."""
-    red, green, blue = bytes.fromhex(STYLES[concept].colour[1:])
-    room: dict[str, Any] = {"semantic_class_probabilities": {}} if concept == ROOM else {}
+    red, green, blue = bytes.fromhex(concept.colour[1:])
+    is_room = concept.layer == LAYER_OF_ROOMS
+    room: dict[str, Any] = {"semantic_class_probabilities": {}} if is_room else {}
     return {
-        "type": "RoomNodeAttributes" if concept == ROOM else "SemanticNodeAttributes",
-        "name": name,
+        "type": "RoomNodeAttributes" if is_room else "SemanticNodeAttributes",
+        "name": f"{concept.name} {row}",
         "color": {"r": red, "g": green, "b": blue, "a": 255},
         "semantic_label": NO_SEMANTIC_LABEL,
         "semantic_feature": {"rows": 0, "cols": 0, "data": None},
         "is_active": False,
-        "is_predicted": concept != PLANE,
+        "is_predicted": not concept.observed,
         "last_update_time_ns": 0,
         **room,
     }
 
 
 def _boxes(graph: SceneGraph) -> np.ndarray:
-    """Returns the corners of the planes of every node, float64[n, 2, 3]; infinite without any."""
-    label, position, normal, width = (np.asarray(field) for field in graph.nodes[:4])
-    plane = label == PLANE
-    half = np.abs(np.cross(np.array([0.0, 0.0, 1.0]), normal[plane])) * width[plane, None] / 2
+    """Returns the corners of what is observed of every node, float64[n, 2, 3].
+
+    They are infinite where nothing is.
+    """
+    nodes, observed = graph.nodes, np.asarray(graph.nodes.observed)
+    label, position = np.asarray(nodes.label), np.asarray(nodes.position)
+    normal, width = np.asarray(nodes.normal)[observed], np.asarray(nodes.width)[observed]
+    half = np.abs(np.cross(np.array([0.0, 0.0, 1.0]), normal)) * width[:, None] / 2
     low, high = np.full(position.shape, np.inf), np.full(position.shape, -np.inf)
-    low[plane], high[plane] = position[plane] - half, position[plane] + half
-    pairs = _parent_first(undirected_edges(graph, PART_OF), label)
+    low[observed], high[observed] = position[observed] - half, position[observed] + half
+    pairs = _wholes_first(graph)
     for parent, child in pairs[np.argsort(label[pairs[:, 1]], kind="stable")]:
         low[parent] = np.minimum(low[parent], low[child])
         high[parent] = np.maximum(high[parent], high[child])
@@ -249,7 +266,9 @@ def _article(kind: type) -> str:
     return "an object" if kind is dict else "a list"
 
 
-def _layers(document: dict[str, Any], where: str) -> dict[tuple[int, int], str]:
+def _layers(
+    document: dict[str, Any], labels: Mapping[str, int], where: str
+) -> dict[tuple[int, int], str]:
     """Returns the names of the layers by layer and partition; Hydra gives layer 2 two names."""
     keys = [_key(key, f"{where}: layer_keys[{i}]") for i, key in enumerate(document["layer_keys"])]
     names: dict[tuple[int, int], list[str]] = {}
@@ -259,14 +278,10 @@ def _layers(document: dict[str, Any], where: str) -> dict[tuple[int, int], str]:
         if key not in keys:
             raise ValueError(f"{here} is {_text(key)}, expected one of layer_keys")
         names.setdefault(key, []).append(name)
-        ours = [other for other in names[key] if other in LAYERS]
+        ours = [other for other in names[key] if other in labels]
         if len(ours) > 1:
             raise ValueError(f"{here} is {_text(key)} like {ours[0]}, expected a layer of its own")
-    return {key: min(several, key=_is_foreign) for key, several in names.items()}
-
-
-def _is_foreign(layer: str) -> bool:
-    return layer not in LAYERS
+    return {key: min(several, key=lambda n: n not in labels) for key, several in names.items()}
 
 
 def _key(value: Any, where: str) -> tuple[int, int]:
@@ -281,13 +296,19 @@ def _text(key: tuple[int, int]) -> str:
 
 def _integer(record: Any, key: str, where: str) -> int:
     value = field(record, key, where)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**64:
-        raise ValueError(f"{where}.{key} is {value!r:.40}, expected an integer below 2^64")
-    return value
+    if type(value) is int and 0 <= value < 2**64:  # True is no number here
+        return value
+    raise ValueError(f"{where}.{key} is {value!r:.40}, expected an integer below 2^64")
 
 
-def _node(record: Any, layers: Mapping[tuple[int, int], str], where: str) -> _Node:
-    label = _concept(record, layers, where)
+def _node(
+    record: Any,
+    layers: Mapping[tuple[int, int], str],
+    labels: Mapping[str, int],
+    kept: Mapping[int, str],
+    where: str,
+) -> _Node:
+    label = _label(record, layers, labels, where)
     attributes, inside = field(record, "attributes", where), f"{where}.attributes"
     kind = field(attributes, "type", inside)
     if kind not in ATTRIBUTES:
@@ -295,26 +316,26 @@ def _node(record: Any, layers: Mapping[tuple[int, int], str], where: str) -> _No
         raise ValueError(f"{inside}.type is {kind!r:.40}, expected one of {known}")
     position = vector(field(attributes, "position", inside), f"{inside}.position")
     metadata, inside = _metadata(attributes, inside), f"{inside}.metadata"
-    normal, width, walls = (metadata.get(name) for name in ("normal", "width", "walls"))
-    if not isinstance(walls, (list, type(None))):
-        raise ValueError(f"{inside}.walls is {walls!r:.40}, expected a list of node ids")
-    return _Node(
-        id=_integer(record, "id", where),
-        label=label,
-        position=position,
-        normal=[0.0, 0.0, 0.0] if normal is None else vector(normal, f"{inside}.normal"),
-        width=0.0 if width is None else number(width, f"{inside}.width"),
-        walls=walls or [],
-    )
+    features = features_in(metadata, inside)
+    wholes: dict[int, list[int]] = {}
+    for whole, name in kept.items():
+        named = metadata.get(name)
+        if not isinstance(named, (list, type(None))):
+            raise ValueError(f"{inside}.{name} is {named!r:.40}, expected a list of node ids")
+        if named:
+            wholes[whole] = named
+    return _Node(_integer(record, "id", where), Record(label, position, features), wholes)
 
 
-def _concept(record: Any, layers: Mapping[tuple[int, int], str], where: str) -> int:
+def _label(
+    record: Any, layers: Mapping[tuple[int, int], str], labels: Mapping[str, int], where: str
+) -> int:
     key = _key(record, where)
-    if layers.get(key) not in LAYERS:
+    if layers.get(key) not in labels:
         named = f" ({layers[key]:.40})" if key in layers else ""
-        known = ", ".join(LAYERS)
-        raise ValueError(f"{where} lies in {_text(key)}{named}, expected one of {known}")
-    return LAYERS.index(layers[key])
+        expected = f"one of {', '.join(labels)}"
+        raise ValueError(f"{where} lies in {_text(key)}{named}, expected {expected}")
+    return labels[layers[key]]
 
 
 def _metadata(record: dict[str, Any], where: str) -> dict[str, Any]:
@@ -347,7 +368,7 @@ def _edge(
     info = field(record, "info", where)
     if not isinstance(info, dict):
         raise ValueError(f"{where}.info is {info!r:.40}, expected an object")
-    within = nodes[pair[0]].label == nodes[pair[1]].label
+    within = nodes[pair[0]].record.label == nodes[pair[1]].record.label
     default = RELATIONS[PROXIMITY if within else PART_OF]
     relation = _metadata(info, f"{where}.info").get("relation", default)
     if relation not in RELATIONS:
@@ -356,28 +377,27 @@ def _edge(
     return RELATIONS.index(relation), pair
 
 
-def _hidden_pairs(nodes: list[_Node], row_of_id: Mapping[int, int], where: str) -> list[list[int]]:
-    """Returns the pairs (node, wall) that are kept in metadata, as rows."""
+def _hidden_pairs(
+    nodes: list[_Node], row_of_id: Mapping[int, int], ontology: Ontology, where: str
+) -> list[list[int]]:
+    """Returns the pairs (part, whole) that are kept in metadata, as rows."""
     pairs = []
     for row, node in enumerate(nodes):
-        for index, name in enumerate(node.walls):
-            known = isinstance(name, int) and not isinstance(name, bool) and name in row_of_id
-            if not known or nodes[row_of_id[name]].label != WALL:
-                raise ValueError(
-                    f"{where}: nodes[{row}].attributes.metadata.walls[{index}] is {name!r:.40}, "
-                    "expected the id of a wall"
-                )
-            pairs.append([row, row_of_id[name]])
+        for label, names in node.wholes.items():
+            for index, name in enumerate(names):
+                known = isinstance(name, int) and not isinstance(name, bool) and name in row_of_id
+                if not known or nodes[row_of_id[name]].record.label != label:
+                    concept = ontology.concepts[label]
+                    place = f"nodes[{row}].attributes.metadata.{concept.layer.lower()}[{index}]"
+                    expected = f"the id of a {concept.name}"
+                    raise ValueError(f"{where}: {place} is {name!r:.40}, expected {expected}")
+                pairs.append([row, row_of_id[name]])
     return pairs
 
 
-def _in_order(graph: SceneGraph, nodes: list[_Node]) -> SceneGraph:
-    """Renumbers the nodes as their symbols are numbered."""
-    label = np.asarray(graph.nodes.label)
+def _order(nodes: list[_Node]) -> np.ndarray:
+    """Returns the nodes in the order in which their symbols are numbered."""
     numbers = np.array([node.id % 2**SYMBOL_BITS for node in nodes])
     unique = len(np.unique(numbers)) == len(numbers)
-    order = np.argsort(numbers) if unique else np.lexsort((numbers, label))
-    row = np.argsort(order)
-    fields = (np.asarray(field)[order] for field in graph.nodes[:4])
-    part_of, proximity = (row[undirected_edges(graph, kind)] for kind in (PART_OF, PROXIMITY))
-    return make_graph(*fields, part_of, proximity)
+    labels = np.array([node.record.label for node in nodes])
+    return np.argsort(numbers) if unique else np.lexsort((numbers, labels))

@@ -15,8 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sg3d_jax.scene.ontology import CONCEPTS, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
-from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.scene.graph import (
+    FEATURES,
+    SceneGraph,
+    ontology_of,
+    parts_first,
+    undirected_edges,
+)
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 from sg3d_jax.scene.padding import Capacity, bucket, stack
 from sg3d_jax.scene.proximity import nearest_neighbours
 
@@ -27,14 +33,14 @@ def describe(graphs: Sequence[SceneGraph]) -> dict[str, Any]:
     """Returns statistics of host graphs, as JSON values.
 
     Args:
-      graphs: with part-of edges.
+      graphs: with part-of edges, of one ontology.
 
     Returns:
       `num_graphs`; mean, sd, min and max over graphs of `nodes`, `edges`, `degree` (2 |E| / |V|;
       both with proximity edges), `hierarchy_edges`, `hierarchy_degree`, `proximity_edges`, and of
       the number of nodes of each concept (`concepts`); for each kind of part-of edge, such as
       "plane-room", the share of parents with so many children (`children`); least and greatest
-      `x`, `y`, `z` of nodes and `width` of planes, metres (`ranges`).
+      `x`, `y`, `z` of nodes and `width` of those that have one, metres (`ranges`).
 
     Raises:
       ValueError: there are no graphs.
@@ -61,7 +67,7 @@ def describe(graphs: Sequence[SceneGraph]) -> dict[str, Any]:
 def count_proximity_edges(graphs: Sequence[SceneGraph]) -> np.ndarray:
     """Returns the number of undirected proximity edges of each host graph, int[B].
 
-    A graph without any is counted as if each plane were joined to its 10 nearest.
+    A graph without any is counted as if each observed node were joined to its 10 nearest.
     """
     counts = np.array([len(undirected_edges(graph, PROXIMITY)) for graph in graphs])
     members: dict[Capacity, list[int]] = defaultdict(list)
@@ -69,15 +75,15 @@ def count_proximity_edges(graphs: Sequence[SceneGraph]) -> np.ndarray:
         members[bucket(len(graphs[index].nodes.label), len(graphs[index].senders))].append(index)
     for capacity, indices in members.items():
         nodes = stack([graphs[index] for index in indices], capacity).nodes
-        counts[indices] = _count_pairs(nodes.position, nodes.mask & (nodes.label == PLANE))
+        counts[indices] = _count_pairs(nodes.position, nodes.observed)
     return counts
 
 
 @jax.jit
 @jax.vmap
-def _count_pairs(position: Float[Array, "N 3"], planes: Bool[Array, " N"]) -> Int[Array, ""]:
-    """Returns the number of pairs of near planes of one graph."""
-    return jnp.sum(nearest_neighbours(position, planes)) // 2
+def _count_pairs(position: Float[Array, "N 3"], observed: Bool[Array, " N"]) -> Int[Array, ""]:
+    """Returns the number of pairs of near observed nodes of one graph."""
+    return jnp.sum(nearest_neighbours(position, observed)) // 2
 
 
 def _summary(values: np.ndarray) -> Summary:
@@ -93,22 +99,22 @@ def _summary(values: np.ndarray) -> Summary:
 
 def _concepts(graphs: Sequence[SceneGraph]) -> dict[str, Summary]:
     """Summarises the number of nodes of each concept that occurs."""
-    counts = np.stack([np.bincount(g.nodes.label, minlength=NUM_CONCEPTS) for g in graphs])
+    names = ontology_of(graphs[0]).names
+    counts = np.stack([np.bincount(g.nodes.label, minlength=len(names)) for g in graphs])
     found = np.flatnonzero(counts.any(axis=0))
-    return {CONCEPTS[concept]: _summary(counts[:, concept]) for concept in found}
+    return {names[concept]: _summary(counts[:, concept]) for concept in found}
 
 
 def _children(graphs: Sequence[SceneGraph]) -> dict[str, dict[str, float]]:
     """Returns, for each kind of part-of edge, the share of parents that have so many children."""
     sizes: dict[str, Counter[int]] = defaultdict(Counter)
     for graph in graphs:
-        label, edges = graph.nodes.label, undirected_edges(graph, PART_OF)
-        upwards = np.take_along_axis(edges, np.argsort(label[edges], axis=1), axis=1)
-        kinds = label[upwards]
+        names, upwards = ontology_of(graph).names, parts_first(graph)
+        kinds = graph.nodes.label[upwards]
         for child, parent in np.unique(kinds, axis=0):
             of_kind = (kinds == (child, parent)).all(axis=1)
             _, counts = np.unique(upwards[of_kind, 1], return_counts=True)
-            sizes[f"{CONCEPTS[child]}-{CONCEPTS[parent]}"].update(counts.tolist())
+            sizes[f"{names[child]}-{names[parent]}"].update(counts.tolist())
     return {kind: _shares(counter) for kind, counter in sizes.items()}
 
 
@@ -118,8 +124,11 @@ def _shares(counter: Counter[int]) -> dict[str, float]:
 
 
 def _ranges(graphs: Sequence[SceneGraph]) -> dict[str, list[float]]:
-    """Returns the least and greatest coordinates of nodes and widths of planes, metres."""
+    """Returns the least and greatest coordinates and features, if those are single numbers."""
     position = np.concatenate([graph.nodes.position for graph in graphs])
-    width = np.concatenate([graph.nodes.width[graph.nodes.label == PLANE] for graph in graphs])
-    columns = {**dict(zip("xyz", position.T, strict=True)), "width": width}
+    columns = dict(zip("xyz", position.T, strict=True))
+    for name in (name for name, shape in FEATURES.items() if not shape):
+        having = ontology_of(graphs[0]).has(name)
+        rows = [getattr(graph.nodes, name)[having[graph.nodes.label]] for graph in graphs]
+        columns[name] = np.concatenate(rows)
     return {name: [float(c.min()), float(c.max())] for name, c in columns.items() if c.size}

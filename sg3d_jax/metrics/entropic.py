@@ -32,6 +32,7 @@ from sg3d_jax.metrics.fgw_problem import (
     Problem,
     Scalar,
     Scale,
+    centred,
     mass_of_nodes,
     pose,
     structure_at_plan,
@@ -78,7 +79,6 @@ class HopProblem(QuadraticProblem):
         return self.linearise(transport.matrix)
 
 
-@partial(jax.jit, static_argnames=("loss", "polish"))
 def entropic_fgw(
     generated: SceneGraph,
     truth: SceneGraph,
@@ -92,7 +92,8 @@ def entropic_fgw(
 
     Args:
       generated: padded; its proximity edges are ignored.
-      truth: padded to the same capacity. Its planes set the origin and the unit of positions.
+      truth: padded to the same capacity, of the same concepts. What is observed in it sets the
+        origin and the unit of positions. Host graphs may stand anywhere, as in `fgw`.
       alpha: weight of the structure, above 0 and at most 1.
       scale: what counts as distance 1 in metres and in hops.
       loss: how two hop distances differ: "absolute" or "squared".
@@ -105,8 +106,25 @@ def entropic_fgw(
       `FGW` at a plan that has the marginals of the problem; `value` is without entropy.
       `iterations` counts linearisations, in all stages.
 
+    Raises:
+      ValueError: the graphs have different ontologies.
+
     Source: ott-jax, `GromovWasserstein`; the module docstring.
     """
+    return _entropic_fgw(*centred(generated, truth), alpha, scale, loss, epsilons, polish)
+
+
+@partial(jax.jit, static_argnames=("loss", "polish"))
+def _entropic_fgw(
+    generated: SceneGraph,
+    truth: SceneGraph,
+    alpha: Scalar,
+    scale: Scale,
+    loss: Loss,
+    epsilons: tuple[Scalar, ...],
+    polish: bool,
+) -> FGW:
+    """Returns the FGW distance at an entropic plan of two graphs near the origin."""
     problem = jax.lax.stop_gradient(pose(generated, truth, scale))
     with jax.numpy_rank_promotion("allow"):  # ott relies on it
         plan, converged, iterations = _anneal(problem, alpha, loss, epsilons)

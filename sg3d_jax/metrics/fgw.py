@@ -1,4 +1,8 @@
-"""The exact Fused Gromov-Wasserstein distance between generated scene graphs and the true ones.
+"""The Fused Gromov-Wasserstein distance between generated scene graphs and the true ones.
+
+It is exact in that nothing is relaxed: no entropy, and plans that meet their marginals. The problem
+is not convex, though, and what `frank_wolfe` finds is a stationary point, which may lie above the
+minimum (how far is told there).
 
 Source: paper, Sec. "Metrics". What is minimised is in `fgw_problem`, how in `frank_wolfe`.
 """
@@ -21,20 +25,20 @@ from sg3d_jax.metrics.fgw_problem import (
     Problem,
     Scalar,
     Scale,
+    centred,
     one_hot,
     pose,
 )
 from sg3d_jax.metrics.frank_wolfe import TOLERANCE, Search, from_product, minimise
-from sg3d_jax.scene.ontology import PART_OF, PLANE
-from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph
-from sg3d_jax.scene.padding import Capacity, bucket
+from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph, ontology_of
+from sg3d_jax.scene.ontology import PART_OF, Ontology
+from sg3d_jax.scene.padding import Capacity, bucket, centre_of_observed
 
 HostOrDevice = jax.Array | np.ndarray
 Pair = tuple[SceneGraph, SceneGraph]
 
 PAIRS_PER_CALL = 64
-NO_POSITIONS = np.zeros((0, 3))
-NOTHING = make_graph([], NO_POSITIONS, NO_POSITIONS, np.zeros(0), np.zeros((0, 2)))
+NOTHING = make_graph([], np.zeros((0, 3)))
 
 
 class FGW(NamedTuple):
@@ -42,7 +46,7 @@ class FGW(NamedTuple):
 
     value: HostOrDevice  # float[], (1 - alpha) w + alpha gw
     gw: HostOrDevice  # float[], structure: difference of hop distances, as a share of the largest
-    w: HostOrDevice  # float[], features: distance of position and label, in spreads of the planes
+    w: HostOrDevice  # float[], features: distance of position and label, in observed spreads
     plan: HostOrDevice | None  # float[N, N], mass from generated (rows) to true nodes (columns)
     converged: HostOrDevice  # bool[], the solver met its tolerance
     iterations: HostOrDevice  # int32[]
@@ -50,7 +54,6 @@ class FGW(NamedTuple):
     # the plan puts on nodes of each true label; `fgw_pairs` has it in place of the plan
 
 
-@partial(jax.jit, static_argnames="loss")
 def fgw(
     generated: SceneGraph,
     truth: SceneGraph,
@@ -58,11 +61,16 @@ def fgw(
     scale: Scale = PAPER_SCALE,
     loss: Loss = "absolute",
 ) -> FGW:
-    """Returns the FGW distance of two padded graphs over the same planes.
+    """Returns the FGW distance of two padded graphs over the same observed nodes.
+
+    It is that of a stationary point, and so an upper bound of the minimum: see
+    `frank_wolfe.minimise`. `jit`, `vmap` and `grad` apply.
 
     Args:
       generated: padded; its proximity edges are ignored.
-      truth: padded to the same capacity. Its planes set the origin and the unit of positions.
+      truth: padded to the same capacity, of the same concepts. What is observed in it sets the
+        origin and the unit of positions. If both are host graphs, they are moved there in float64,
+        so that they may stand anywhere; on the device they must stand near the origin already.
       alpha: weight of the structure, from 0 to 1.
       scale: what counts as distance 1 in metres and in hops; the paper's by default.
       loss: how two hop distances differ: "absolute" as in the paper, or "squared".
@@ -71,8 +79,17 @@ def fgw(
       `FGW` with its plan. `value` can be differentiated with respect to positions: the plan is a
       constant (envelope theorem). `fgw_loss` is the smooth variant for training.
 
+    Raises:
+      ValueError: the graphs have different ontologies.
+
     Source: paper, Sec. "Metrics", Eq. for d_FGW.
     """
+    return _fgw(*centred(generated, truth), alpha, scale, loss)
+
+
+@partial(jax.jit, static_argnames="loss")
+def _fgw(generated: SceneGraph, truth: SceneGraph, alpha: Scalar, scale: Scale, loss: Loss) -> FGW:
+    """Returns the FGW distance of two graphs near the origin."""
     problem = pose(generated, truth, scale)
     fixed = jax.lax.stop_gradient(problem)
     found = minimise(fixed, jax.lax.stop_gradient(alpha), loss, from_product(fixed, loss))
@@ -118,8 +135,8 @@ def fgw_pairs(
     to all devices: with the option `jax_num_cpu_devices` at the number of cores, to all cores.
 
     Args:
-      generated: host graphs of any size.
-      truth: host graphs, over the same planes in the same order.
+      generated: host graphs of any size and anywhere.
+      truth: host graphs, over the same observed nodes in the same order.
       alpha: weight of the structure.
       scale: what counts as distance 1.
       loss: how two hop distances differ.
@@ -129,10 +146,13 @@ def fgw_pairs(
       which is None.
 
     Raises:
-      ValueError: the lists differ in length or are empty, or a graph exceeds the largest capacity.
+      ValueError: the lists differ in length or are empty, graphs have different ontologies, or one
+        exceeds the largest capacity.
     """
     if len(generated) != len(truth) or not truth:
         raise ValueError(f"{len(generated)} generated graphs cannot be paired with {len(truth)}")
+    if len({ontology_of(graph) for graph in (*generated, *truth)}) > 1:
+        raise ValueError("the graphs to compare have different ontologies, expected one")
     pairs = list(zip(generated, truth, strict=True))
     capacities = [_capacity(pair) for pair in pairs]
     order = sorted(range(len(pairs)), key=lambda index: capacities[index])
@@ -173,8 +193,9 @@ def _fgw_chunk(
     filled = [(NOTHING, NOTHING)] * (share * mesh.size)
     for slot, pair in zip(slots, pairs, strict=True):
         filled[slot] = pair
-    origins = np.stack([_centre_of_observed(truth) for _, truth in filled])
-    sides = (_stack(graphs, origins, capacity) for graphs in zip(*filled, strict=True))
+    origins = np.stack([centre_of_observed(truth) for _, truth in filled])
+    ontology = ontology_of(pairs[0][1])
+    sides = (_stack(graphs, origins, capacity, ontology) for graphs in zip(*filled, strict=True))
     scores = _fgw_stacked(*sides, alpha, scale, loss=loss, mesh=mesh)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[slots], scores)
 
@@ -186,7 +207,7 @@ def _fgw_stacked(
     """Scores stacked pairs one after another: no pair waits for the slowest of its stack."""
 
     def score(generated: SceneGraph, truth: SceneGraph) -> FGW:
-        found = fgw(generated, truth, alpha, scale, loss)
+        found = _fgw(generated, truth, alpha, scale, loss)
         matched = matched_labels(found.plan, generated, truth)
         return found._replace(plan=None, matched=matched)
 
@@ -206,14 +227,9 @@ def _fgw_stacked(
     )(generated, truth)
 
 
-def _centre_of_observed(truth: SceneGraph) -> np.ndarray:
-    """Returns the mean plane of a host graph, or zero: an origin at which float32 is fine."""
-    position = np.asarray(truth.nodes.position, np.float64)
-    planes = position[np.asarray(truth.nodes.mask) & (np.asarray(truth.nodes.label) == PLANE)]
-    return planes.mean(axis=0) if len(planes) else np.zeros(3)
-
-
-def _stack(graphs: Sequence[SceneGraph], origins: np.ndarray, capacity: Capacity) -> SceneGraph:
+def _stack(
+    graphs: Sequence[SceneGraph], origins: np.ndarray, capacity: Capacity, ontology: Ontology
+) -> SceneGraph:
     """Pads and stacks what the metric reads of host graphs: no normals, widths or proximity.
 
     One pass over all graphs: `padding.stack`, a graph and a field at a time, would take longer than
@@ -244,6 +260,7 @@ def _stack(graphs: Sequence[SceneGraph], origins: np.ndarray, capacity: Capacity
             position=padded(node_mask, position, np.float32),
             normal=np.zeros((*node_mask.shape, 3), np.float32),
             width=np.zeros(node_mask.shape, np.float32),
+            observed=padded(node_mask, joined("observed"), bool),
             mask=node_mask,
         ),
         edges=Edges(relation=np.full(edge_mask.shape, PART_OF, np.int32), mask=edge_mask),
@@ -251,5 +268,5 @@ def _stack(graphs: Sequence[SceneGraph], origins: np.ndarray, capacity: Capacity
         receivers=ends("receivers"),
         n_node=np.stack([num_nodes, capacity.nodes - num_nodes], axis=1).astype(np.int32),
         n_edge=np.stack([num_edges, capacity.edges - num_edges], axis=1).astype(np.int32),
-        globals=None,
+        globals=ontology,
     )

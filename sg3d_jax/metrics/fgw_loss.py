@@ -30,12 +30,17 @@ def fgw_loss(
 ) -> Float[Array, ""]:
     """Returns the FGW distance to the truth of a graph with other positions and labels.
 
+    Unlike `fgw`, it leaves all positions where they are, since `position` is what is differentiated
+    and so on the device: bring graphs that stand far from the origin there first, `position` with
+    them (`moved_by(graph, -centre_of_observed(truth))` of scene.padding, on the host).
+
     Args:
       position: centroids, metres, in place of those of `generated`.
       label: distributions over the concepts, in place of the labels of `generated`. One-hot rows
         give `fgw`, up to a softening of 1e-6 a distance.
       generated: padded; gives the nodes and part-of edges, which are constants.
-      truth: padded to the same capacity. Its planes set the origin and the unit of positions.
+      truth: padded to the same capacity, of the same concepts. What is observed in it sets the
+        origin and the unit of positions.
       alpha: weight of the structure, from 0 to 1.
       scale: what counts as distance 1 in metres and in hops.
       loss: how two hop distances differ: "absolute" or "squared".

@@ -13,7 +13,7 @@ hops it is a few matrix products.
 Source: paper, Sec. "Metrics"; Peyré, Cuturi and Solomon, "Gromov-Wasserstein averaging of kernel
 and distance matrices", ICML 2016, Eq. 6, for the squared loss.
 Differs: the paper does not say how metres and hops are brought to one scale. Positions are centred
-on the observed planes and divided by their horizontal spread, hops by the larger of the two
+on the observed nodes and divided by their horizontal spread, hops by the larger of the two
 graphs' largest distances: of the conventions tried, one that comes within 0.03 (rms) of the paper's
 Rand rows.
 """
@@ -23,11 +23,12 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sg3d_jax.metrics.shortest_path import part_of_hops
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PLANE
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
+from sg3d_jax.scene.padding import centre_of_observed, moved_by
 
 Scalar = float | Float[Array, ""]
 Loss = Literal["absolute", "squared"]
@@ -38,8 +39,11 @@ ALPHA = 0.5
 class Scale(NamedTuple):
     """What counts as distance 1; None for the paper's, which differs from pair to pair."""
 
-    metres: Scalar | None = None  # None: the horizontal spread of the true planes
-    hops: Scalar | None = None  # None: the longest shortest path of the two graphs
+    metres: Scalar | None = None  # None: the horizontal spread of what is observed in the truth
+    # None: the largest distance in the two graphs, be it between unconnected nodes. A generated
+    # graph in large pieces is measured in a larger unit, which makes it look better: see
+    # `shortest_path.hop_distances`.
+    hops: Scalar | None = None
 
 
 PAPER_SCALE = Scale()
@@ -55,8 +59,23 @@ class Problem(NamedTuple):
 
 
 def one_hot(graph: SceneGraph) -> Float[Array, "N C"]:
-    """Returns the labels of a padded graph as distributions over the concepts."""
-    return jax.nn.one_hot(graph.nodes.label, NUM_CONCEPTS, dtype=graph.nodes.position.dtype)
+    """Returns the labels of a padded graph as distributions over its concepts."""
+    num_concepts = ontology_of(graph).num_concepts
+    return jax.nn.one_hot(graph.nodes.label, num_concepts, dtype=graph.nodes.position.dtype)
+
+
+def centred(generated: SceneGraph, truth: SceneGraph) -> tuple[SceneGraph, SceneGraph]:
+    """Moves a pair of host graphs to the centre of what is observed in the truth, in float64.
+
+    FGW does not depend on the origin, but the device's float32 does: 5000 km from it, its steps are
+    half a metre. Graphs that are traced or on the device have lost that already, and stay as they
+    are.
+    """
+    pair = generated, truth
+    if not all(isinstance(graph.nodes.position, np.ndarray) for graph in pair):
+        return pair
+    offset = -centre_of_observed(truth)
+    return moved_by(generated, offset), moved_by(truth, offset)
 
 
 def pose(
@@ -70,7 +89,8 @@ def pose(
 
     Args:
       generated: padded; its proximity edges are ignored.
-      truth: padded to the same capacity. Its planes set the origin of positions, and their unit.
+      truth: padded to the same capacity, of the same concepts. What is observed in it sets the
+        origin of positions, and their unit.
       scale: the units of positions and hops.
       label: distributions over the concepts that replace the generated labels.
       softening: what is added to squared feature distances, which makes them smooth where they
@@ -78,11 +98,16 @@ def pose(
 
     Returns:
       The problem, in the float type of the positions.
+
+    Raises:
+      ValueError: the graphs have different ontologies.
     """
+    if ontology_of(generated) != ontology_of(truth):
+        raise ValueError("the generated graph has another ontology than the true one")
     masks = generated.nodes.mask, truth.nodes.mask
     size = jnp.maximum(*(jnp.sum(mask, dtype=jnp.int32) for mask in masks))
     occupied = jnp.arange(masks[0].shape[0]) < size
-    origin, spread = _frame_of_planes(truth)
+    origin, spread = _frame_of_observed(truth)
     metres = spread if scale.metres is None else scale.metres
     labels = one_hot(generated) if label is None else label, one_hot(truth)
     left, right = (
@@ -180,15 +205,15 @@ def _structure(
     return (sums.astype(dtype) - 2 * shared) / problem.unit
 
 
-def _frame_of_planes(graph: SceneGraph) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-    """Returns the mean position of the planes and their horizontal spread a axis, metres.
+def _frame_of_observed(graph: SceneGraph) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+    """Returns the mean position of the observed nodes and their horizontal spread a axis, metres.
 
-    The spread is 1 m where the planes do not define one: fewer than two planes, or all in a place.
+    The spread is 1 m where they do not define one: fewer than two of them, or all in a place.
     """
-    planes = (graph.nodes.mask & (graph.nodes.label == PLANE))[:, None]
-    count = jnp.maximum(jnp.sum(planes), 1)
-    origin = jnp.sum(jnp.where(planes, graph.nodes.position, 0.0), axis=0) / count
-    offset = jnp.where(planes, graph.nodes.position - origin[None, :], 0.0)[:, :2]
+    observed = graph.nodes.observed[:, None]
+    count = jnp.maximum(jnp.sum(observed), 1)
+    origin = jnp.sum(jnp.where(observed, graph.nodes.position, 0.0), axis=0) / count
+    offset = jnp.where(observed, graph.nodes.position - origin[None, :], 0.0)[:, :2]
     spread = _norm(offset.ravel()) / jnp.sqrt(2.0 * count)
     return origin, jnp.where(spread > 0, spread, 1.0)
 

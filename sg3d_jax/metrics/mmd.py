@@ -35,8 +35,8 @@ from sg3d_jax.metrics.descriptors import (
     spectrum_histogram,
 )
 from sg3d_jax.metrics.gin import GIN, gin_embedding, init_gin
-from sg3d_jax.scene.ontology import PART_OF
 from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF
 from sg3d_jax.scene.padding import bucket
 
 HostOrDevice = jax.Array | np.ndarray

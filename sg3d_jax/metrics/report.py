@@ -2,14 +2,14 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.metrics.oddities import oddities
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.fgw_problem import ALPHA
 from sg3d_jax.metrics.mmd import mmd_scores
+from sg3d_jax.metrics.oddities import Oddity, oddities
 from sg3d_jax.metrics.structure import (
     exact_structure,
     failures,
@@ -17,14 +17,15 @@ from sg3d_jax.metrics.structure import (
     num_duplicates,
     num_forbidden_edges,
 )
-from sg3d_jax.scene.ontology import CONCEPTS, NUM_CONCEPTS, PLANE
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
+
+NOT_ONE_WHOLE: Final = {Oddity.WITHOUT_WHOLE, Oddity.SEVERAL_WHOLES}
 
 
 def score(
     generated: Sequence[SceneGraph], truth: Sequence[SceneGraph], alpha: float = ALPHA
 ) -> dict[str, Any]:
-    """Scores generated graphs against the true ones over the same planes.
+    """Scores generated graphs against the true ones over the same observed nodes.
 
     Args:
       generated: host graphs.
@@ -41,7 +42,8 @@ def score(
       failure its `count` and the `share` of graphs that have it; and the FGW of every pair.
 
     Raises:
-      ValueError: the lists differ in length or are empty, or a graph is too large.
+      ValueError: the lists differ in length or are empty, graphs have different ontologies, or one
+        is too large.
 
     Source: paper, Sec. "Metrics".
     Differs: all but the seven scores is ours.
@@ -100,12 +102,11 @@ def _numbers(run: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 
 def _rules(generated: Sequence[SceneGraph]) -> dict[str, float]:
     """Returns the share of graphs that obey each rule of the hierarchy."""
-    odd = [oddities(graph) for graph in generated]
-    parents = [any(" without a " in kind or " more than one " in kind for kind in of) for of in odd]
+    kinds = [{odd.kind for odd in oddities(graph)} for graph in generated]
     broken = {
-        "one_parent": parents,
+        "one_parent": [not of.isdisjoint(NOT_ONE_WHOLE) for of in kinds],
         "layer_rule": [num_forbidden_edges(graph) > 0 for graph in generated],
-        "connected": ["node apart from the rest" in of for of in odd],
+        "connected": [Oddity.APART in of for of in kinds],
         "no_duplicates": [num_duplicates(graph) > 0 for graph in generated],
     }
     return {rule: 1 - float(np.mean(graphs)) for rule, graphs in broken.items()}
@@ -114,19 +115,20 @@ def _rules(generated: Sequence[SceneGraph]) -> dict[str, float]:
 def _levels(
     generated: Sequence[SceneGraph], truth: Sequence[SceneGraph], matched: np.ndarray
 ) -> dict[str, dict[str, float]]:
-    """Returns precision and recall of the concepts that occur; planes are given, so left out.
+    """Returns precision and recall of the concepts that occur; the observed ones are given.
 
     Args:
       generated: host graphs.
       truth: host graphs.
       matched: float[B, C, C], see `FGW`.
     """
+    ontology = ontology_of(truth[0])
     made, true = (_label_counts(graphs) for graphs in (generated, truth))
     met = np.einsum("bcc->c", matched)
     return {
         name: {
-            CONCEPTS[concept]: float(met[concept] / count[concept])
-            for concept in range(PLANE + 1, NUM_CONCEPTS)
+            ontology.names[concept]: float(met[concept] / count[concept])
+            for concept in np.flatnonzero(~ontology.is_observed)
             if count[concept]
         }
         for name, count in (("precision", made), ("recall", true))
@@ -135,7 +137,7 @@ def _levels(
 
 def _label_counts(graphs: Sequence[SceneGraph]) -> np.ndarray:
     labels = np.concatenate([graph.nodes.label for graph in graphs])
-    return np.bincount(labels, minlength=NUM_CONCEPTS)
+    return np.bincount(labels, minlength=ontology_of(graphs[0]).num_concepts)
 
 
 def _node_count_errors(

@@ -25,6 +25,13 @@ def hop_distances(adjacency: Bool[Array, "N N"], mask: Bool[Array, " N"]) -> Int
 
     Source: paper, Sec. "Metrics" (SP in the Gromov-Wasserstein term).
     Differs: the paper leaves the distance of unconnected nodes open; ours is that of its dummies.
+    It is measured from the longest path of each graph alone. The smaller the pieces are that a
+    graph has fallen into, the nearer they lie, down to one hop where it has no edges; so FGW does
+    not grow with the share of edges that a graph has lost. Mean over 20 graphs of S-F against
+    themselves without a quarter, half, three quarters and all of their part-of edges: .13, .17, .09
+    (all pairs are then as far apart, on average, as in the truth) and .19; measured from the
+    longest path of both graphs it would be .13, .21, .23 and .24. Whether a graph is in pieces is
+    told by `connected` in the report, not by FGW.
     """
     # The last node of the first `span` hops of a path splits it into two shorter ones, and the best
     # split is found by one matrix product: a sum of powers of a base that exceeds the number of

@@ -1,7 +1,8 @@
-"""Whether the hierarchy over the observed planes is right, and if not, what is wrong with it.
+"""Whether the hierarchy over the observed nodes is right, and if not, what is wrong with it.
 
-Both graphs stand on the same planes in the same order, so a plane is known by its rank.
-All of this runs on the host.
+Both graphs stand on the same observed nodes in the same order, so each is known by its rank. In the
+paper's ontology these are the planes, and walls and rooms what they bound. All of this runs on the
+host.
 """
 
 from collections import Counter
@@ -10,23 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.ontology import (
-    BUILDING,
-    CITY,
-    CONCEPTS,
-    FLOOR,
-    NUM_CONCEPTS,
-    PART_OF,
-    PART_OF_RULES,
-    PLANE,
-    ROOM,
-    SINGLE_PARENT,
-    WALL,
-)
-from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, Ontology
 
 Neighbours = list[list[int]]
-PlaneSet = frozenset[int]
+ObservedSet = frozenset[int]
 
 
 class Hierarchy(NamedTuple):
@@ -34,14 +23,14 @@ class Hierarchy(NamedTuple):
 
     label: list[int]
     neighbours: Neighbours
-    rank: dict[int, int]  # of each plane among the planes
+    rank: dict[int, int]  # of each observed node among the observed
 
 
 def exact_structure(generated: SceneGraph, truth: SceneGraph) -> bool:
-    """Returns whether the labelled graphs are isomorphic with every plane mapped to itself.
+    """Returns whether the labelled graphs are isomorphic with what is observed mapped to itself.
 
-    Decided by colour refinement from unique colours for planes, which is exact where the true graph
-    without its planes is a forest: where no room, floor or building has two parents.
+    Decided by colour refinement from unique colours for observed nodes, which is exact where the
+    true graph without them is a forest: where nothing has two parents that is not observed.
 
     Source: Arvind et al., "On the power of color refinement", FCT 2015: it identifies forests.
     """
@@ -53,16 +42,18 @@ def exact_structure(generated: SceneGraph, truth: SceneGraph) -> bool:
 
 def node_count_error(generated: SceneGraph, truth: SceneGraph) -> dict[str, int]:
     """Returns how many nodes of each concept were generated too many (or, negative, too few)."""
+    names = ontology_of(truth).names
     made, true = (
-        np.bincount(graph.nodes.label, minlength=NUM_CONCEPTS) for graph in (generated, truth)
+        np.bincount(graph.nodes.label, minlength=len(names)) for graph in (generated, truth)
     )
-    return dict(zip(CONCEPTS, (made - true).tolist(), strict=True))
+    return dict(zip(names, (made - true).tolist(), strict=True))
 
 
 def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
     """Counts what is wrong with a generated hierarchy, by kind.
 
-    A wall or a room that is not the true one over its planes is one of
+    Nodes of which something observed may be part (walls and rooms, of planes) are known by their
+    observed parts. One that is not the true one over its planes is one of
 
     - `missing`, `extra`: no counterpart shares a plane with it;
     - `duplicate`: its planes are right, and drawn before;
@@ -70,23 +61,24 @@ def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
     - `with wrong planes`: overlaps its counterpart;
     - `without planes`.
 
-    Floors, buildings and cities (and planes) are `missing` or `extra` by their number. A node may
-    lie `without` its parent or `with more than one`. What obeys all this and is still not right is
-    a `wrong grouping`.
+    All others (floors, buildings, cities, and planes) are `missing` or `extra` by their number. A
+    node may lie `without` its parent or `with more than one`. What obeys all this and is still not
+    right is a `wrong grouping`.
 
     Returns:
       Kinds and how often each occurs; empty if and only if `exact_structure`.
     """
-    made, true = _hierarchy(generated), _hierarchy(truth)
+    ontology, made, true = ontology_of(truth), _hierarchy(generated), _hierarchy(truth)
     found: Counter[str] = Counter()
-    for concept in (WALL, ROOM):
-        found.update(_plane_set_failures(CONCEPTS[concept], *_plane_sets(concept, made, true)))
+    parts = _observed_parts(ontology)
+    for concept, nouns in parts.items():
+        sets = _observed_sets(concept, made, true)
+        found.update(_observed_set_failures(ontology.names[concept], nouns, *sets))
     surplus = node_count_error(generated, truth)
-    for concept in (PLANE, FLOOR, BUILDING, CITY):
-        name = CONCEPTS[concept]
+    for name in (name for label, name in enumerate(ontology.names) if label not in parts):
         found[f"extra {name}"] += max(0, surplus[name])
         found[f"missing {name}"] += max(0, -surplus[name])
-    found.update(_parent_failures(made, true))
+    found.update(_parent_failures(ontology, made, true))
     found["edge against the rules"] += num_forbidden_edges(generated)
     if not found.total() and not exact_structure(generated, truth):
         found["wrong grouping"] = 1
@@ -94,13 +86,14 @@ def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
 
 
 def _hierarchy(graph: SceneGraph) -> Hierarchy:
-    """Reads labels, neighbours and plane ranks off a host graph."""
+    """Reads labels, neighbours and ranks off a host graph."""
     label = np.asarray(graph.nodes.label)
     neighbours: Neighbours = [[] for _ in label]
     for first, second in undirected_edges(graph, PART_OF).tolist():
         neighbours[first].append(second)
         neighbours[second].append(first)
-    rank = {node: rank for rank, node in enumerate(np.flatnonzero(label == PLANE).tolist())}
+    observed = np.flatnonzero(graph.nodes.observed).tolist()
+    rank = {node: rank for rank, node in enumerate(observed)}
     return Hierarchy(label.tolist(), neighbours, rank)
 
 
@@ -126,8 +119,18 @@ def _stable_colours(graphs: Sequence[Hierarchy]) -> list[list[int]]:
         ]
 
 
-def _plane_sets(concept: int, *graphs: Hierarchy) -> list[list[PlaneSet]]:
-    """Returns the planes of every node of one concept, for each graph."""
+def _observed_parts(ontology: Ontology) -> dict[int, str]:
+    """Returns the concepts that are known by their observed parts, and what to call those."""
+    parts = ontology.may_be_part & ontology.is_observed[:, None] & ~ontology.is_observed[None, :]
+    plurals = np.array([concept.layer.lower() for concept in ontology.concepts])
+    return {
+        int(whole): " or ".join(plurals[parts[:, whole]])
+        for whole in np.flatnonzero(parts.any(axis=0))
+    }
+
+
+def _observed_sets(concept: int, *graphs: Hierarchy) -> list[list[ObservedSet]]:
+    """Returns the observed nodes of every node of one concept, for each graph."""
     return [
         [
             frozenset(graph.rank[other] for other in graph.neighbours[node] if other in graph.rank)
@@ -138,33 +141,35 @@ def _plane_sets(concept: int, *graphs: Hierarchy) -> list[list[PlaneSet]]:
     ]
 
 
-def _plane_set_failures(name: str, made: list[PlaneSet], true: list[PlaneSet]) -> Counter[str]:
-    """Sorts the walls or rooms that are not right into kinds; each node falls into one."""
+def _observed_set_failures(
+    name: str, parts: str, made: list[ObservedSet], true: list[ObservedSet]
+) -> Counter[str]:
+    """Sorts the nodes of a concept that are not right into kinds; each falls into one."""
     left, wanted = _differences(made, true)
-    found = Counter({f"{name} without planes": sum(not one for one in left)})
+    found = Counter({f"{name} without {parts}": sum(not one for one in left)})
     left = [one for one in left if one]
     found[f"duplicate {name}"] = sum(one in true for one in left)
     left = [one for one in left if one not in true]
     wanted, left, found[f"split {name}"] = _take_parts(wanted, left)
     left, wanted, found[f"merged {name}"] = _take_parts(left, wanted)
     num_overlaps = _num_overlaps(left, wanted)
-    found[f"{name} with wrong planes"] = num_overlaps
+    found[f"{name} with wrong {parts}"] = num_overlaps
     found[f"extra {name}"] = len(left) - num_overlaps
     found[f"missing {name}"] = len(wanted) - num_overlaps
     return found
 
 
 def _differences(
-    first: Iterable[PlaneSet], second: Iterable[PlaneSet]
-) -> tuple[list[PlaneSet], list[PlaneSet]]:
+    first: Iterable[ObservedSet], second: Iterable[ObservedSet]
+) -> tuple[list[ObservedSet], list[ObservedSet]]:
     """Returns what is left of two lists once equal entries are struck out one against one."""
     first, second = Counter(first), Counter(second)
     return list((first - second).elements()), list((second - first).elements())
 
 
 def _take_parts(
-    wholes: list[PlaneSet], parts: list[PlaneSet]
-) -> tuple[list[PlaneSet], list[PlaneSet], int]:
+    wholes: list[ObservedSet], parts: list[ObservedSet]
+) -> tuple[list[ObservedSet], list[ObservedSet], int]:
     """Takes out the wholes that contain two or more of the parts, with these parts."""
     whole_left, num_taken = [], 0
     for whole in wholes:
@@ -177,8 +182,8 @@ def _take_parts(
     return whole_left, parts, num_taken
 
 
-def _num_overlaps(first: list[PlaneSet], second: list[PlaneSet]) -> int:
-    """Pairs the entries of two lists that share planes, most shared first, and counts the pairs."""
+def _num_overlaps(first: list[ObservedSet], second: list[ObservedSet]) -> int:
+    """Pairs the entries of two lists that share nodes, most shared first, and counts the pairs."""
     shared = np.array([[len(one & other) for other in second] for one in first])
     pairs = 0
     while shared.size and shared.max() > 0:
@@ -188,16 +193,16 @@ def _num_overlaps(first: list[PlaneSet], second: list[PlaneSet]) -> int:
     return pairs
 
 
-def _parent_failures(made: Hierarchy, true: Hierarchy) -> Counter[str]:
+def _parent_failures(ontology: Ontology, made: Hierarchy, true: Hierarchy) -> Counter[str]:
     """Counts the parts with no parent where one is due, and those with more than one."""
     found: Counter[str] = Counter()
-    for child, parent in SINGLE_PARENT:
+    for child, parent in ontology.single_wholes:
+        low, high = ontology.names[child], ontology.names[parent]
         usual, numbers = _num_parents(true, child, parent), _num_parents(made, child, parent)
-        several = f"{CONCEPTS[child]} with more than one {CONCEPTS[parent]}"
-        found[several] = sum(number > max([1, *usual]) for number in numbers)
+        found[f"{low} with more than one {high}"] = sum(n > max([1, *usual]) for n in numbers)
         # A plane without its room shows in the room, which is missing or has wrong planes.
-        if child != PLANE and min(usual, default=0) > 0:
-            found[f"{CONCEPTS[child]} without {CONCEPTS[parent]}"] = numbers.count(0)
+        if not ontology.is_observed[child] and min(usual, default=0) > 0:
+            found[f"{low} without {high}"] = numbers.count(0)
     return found
 
 
@@ -212,15 +217,14 @@ def _num_parents(graph: Hierarchy, child: int, parent: int) -> list[int]:
 
 def num_forbidden_edges(graph: SceneGraph) -> int:
     """Counts the part-of edges between concepts that are not part of each other."""
-    ends = np.sort(np.asarray(graph.nodes.label)[undirected_edges(graph, PART_OF)], axis=1)
-    return sum((child, parent) not in PART_OF_RULES for child, parent in ends.tolist())
+    child, parent = np.asarray(graph.nodes.label)[parts_first(graph)].T
+    return int(np.count_nonzero(~ontology_of(graph).may_be_part[child, parent]))
 
 
 def num_duplicates(graph: SceneGraph) -> int:
     """Counts the nodes that repeat another one: the same concept over the same parts."""
     label = np.asarray(graph.nodes.label).tolist()
     parts: dict[int, set[int]] = {}
-    for pair in undirected_edges(graph, PART_OF).tolist():
-        child, parent = sorted(pair, key=label.__getitem__)
+    for child, parent in parts_first(graph).tolist():
         parts.setdefault(parent, set()).add(child)
     return len(parts) - len({(label[node], frozenset(of)) for node, of in parts.items()})

@@ -1,4 +1,4 @@
-"""Applying a network: the one place where linen's return type is narrowed."""
+"""Applying a network, and a stack of equal layers: where linen's own interface is narrowed."""
 
 from typing import Any
 
@@ -8,3 +8,23 @@ from flax import linen as nn
 def apply(network: nn.Module, params: Any, *inputs: Any) -> Any:
     """Returns what the network computes; linen's own `apply` may also return mutated variables."""
     return network.apply(params, *inputs)
+
+
+def stacked(layer: type[nn.Module], number: int, in_axes: Any = nn.broadcast) -> Any:
+    """Returns a module class that runs equal layers one after another.
+
+    It is compiled as one layer in a loop, whatever their number; their parameters are stacked along
+    a first axis.
+
+    Args:
+      layer: its `__call__(state, *inputs)` returns (state, None).
+      number: how many of them.
+      in_axes: of the inputs: `nn.broadcast` for what all layers see, else the axis of the layers.
+    """
+    return nn.scan(
+        layer,
+        variable_axes={"params": 0},
+        split_rngs={"params": True},
+        in_axes=in_axes,
+        length=number,
+    )

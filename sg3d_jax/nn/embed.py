@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, NUM_RELATIONS
-from sg3d_jax.scene.graph import Nodes, SceneGraph
+from sg3d_jax.scene.graph import Nodes, SceneGraph, ontology_of
+from sg3d_jax.scene.ontology import NUM_RELATIONS
 from sg3d_jax.scene.padding import part_of_adjacency
 
 SCALES = (0.1, 1.0)  # metres: the gap between two faces of a wall, and a step
@@ -156,7 +156,8 @@ def graph_features(graph: SceneGraph) -> Float[Array, " F"]:
 
 
 def _one_hot_concept(graph: SceneGraph) -> Float[Array, "N C"]:
-    return jax.nn.one_hot(graph.nodes.label, NUM_CONCEPTS) * graph.nodes.mask[:, None]
+    concepts = jax.nn.one_hot(graph.nodes.label, ontology_of(graph).num_concepts)
+    return concepts * graph.nodes.mask[:, None]
 
 
 def sinusoids(value: Float[Array, "..."], num_features: int = 16) -> Float[Array, "... F"]:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float
 
+from sg3d_jax.nn.apply import stacked
 from sg3d_jax.nn.embed import edge_features, graph_features, node_features
 from sg3d_jax.scene.graph import SceneGraph
 
@@ -16,6 +17,25 @@ class Encoding(NamedTuple):
 
     nodes: Array  # float[N, width], zero at padding
     edges: Array  # float[E, width], meaningless at padding
+
+
+class GINELayer(nn.Module):
+    """One layer of a GINE."""
+
+    width: int
+
+    @nn.compact
+    def __call__(
+        self, nodes: Float[Array, "N D"], edge: Float[Array, "E D"], graph: SceneGraph
+    ) -> tuple[Float[Array, "N D"], None]:
+        """Returns the new node states, given W e_ij."""
+        mask = graph.nodes.mask[:, None].astype(jnp.float32)
+        edge_mask = graph.edges.mask[:, None].astype(jnp.float32)
+        message = nn.relu(jnp.take(nodes, graph.senders, axis=0) + edge) * edge_mask
+        total = jax.ops.segment_sum(message, graph.receivers, nodes.shape[0])
+        hidden = nn.LayerNorm(name="norm")(nodes + total)
+        hidden = nn.relu(nn.Dense(2 * self.width, name="hidden")(hidden))
+        return (nodes + nn.Dense(self.width, name="out")(hidden)) * mask, None
 
 
 class GINE(nn.Module):
@@ -32,16 +52,12 @@ class GINE(nn.Module):
     def __call__(self, graph: SceneGraph) -> Encoding:
         """Encodes one padded graph; masked nodes and edges do not matter."""
         mask = graph.nodes.mask[:, None].astype(jnp.float32)
-        edge_mask = graph.edges.mask[:, None].astype(jnp.float32)
         nodes = nn.Dense(self.width, name="nodes")(node_features(graph)) * mask
         edges = nn.relu(nn.Dense(self.width, name="edges")(edge_features(graph)))
-        by_layer = nn.Dense(self.layers * self.width, name="messages")(edges)
-        for layer, edge in enumerate(jnp.split(by_layer, self.layers, axis=-1)):
-            message = nn.relu(jnp.take(nodes, graph.senders, axis=0) + edge) * edge_mask
-            total = jax.ops.segment_sum(message, graph.receivers, nodes.shape[0])
-            hidden = nn.LayerNorm(name=f"norm_{layer}")(nodes + total)
-            hidden = nn.relu(nn.Dense(2 * self.width, name=f"hidden_{layer}")(hidden))
-            nodes = (nodes + nn.Dense(self.width, name=f"out_{layer}")(hidden)) * mask
+        messages = nn.Dense(self.layers * self.width, name="messages")(edges)
+        messages = messages.reshape(-1, self.layers, self.width)
+        layers = stacked(GINELayer, self.layers, in_axes=(1, nn.broadcast))
+        nodes, _ = layers(self.width, name="layers")(nodes, messages, graph)
         return Encoding(nodes, edges)
 
 

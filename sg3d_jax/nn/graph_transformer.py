@@ -19,11 +19,11 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
+from sg3d_jax.nn.apply import stacked
 from sg3d_jax.nn.embed import Surface, relative_to_points, sinusoids, surface_of
 from sg3d_jax.nn.gine import GINE
-from sg3d_jax.scene.ontology import NUM_CONCEPTS
+from sg3d_jax.nn.kin import connect_kin
 from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.scene.proximity import connect_kin
 
 
 class Gates(NamedTuple):
@@ -63,7 +63,7 @@ class OldGraphEncoder(nn.Module):
     width: int
     layers: int
     gates: int
-    kin: int = 0  # nearest nodes of its own concept that a room, floor or building hears of
+    kin: int = 0  # nearest nodes of its own concept that a node hears of
     many_rows: bool = False  # of the blocks to come; see Gates
 
     @nn.compact
@@ -124,12 +124,12 @@ class RectangleLayer(nn.Module):
     @nn.compact
     def __call__(
         self,
-        block: Float[Array, "M D"],
-        pairs: Float[Array, "M tokens P"],
+        state: tuple[Float[Array, "M D"], Float[Array, "M tokens P"]],
         conditioning: Conditioning,
         token_mask: Bool[Array, " tokens"],
-    ) -> tuple[Float[Array, "M D"], Float[Array, "M tokens P"]]:
+    ) -> tuple[tuple[Float[Array, "M D"], Float[Array, "M tokens P"]], None]:
         """Returns the new states of the block nodes and of the pairs."""
+        block, pairs = state
         num_block = block.shape[0]
         normed = nn.LayerNorm(name="pair_norm")(pairs)
         projected = nn.Dense(self.gates + self.heads + self.pair_width, name="project")(normed)
@@ -150,7 +150,7 @@ class RectangleLayer(nn.Module):
         scale, shift = jnp.split(nn.Dense(2 * self.pair_width, name="film")(block), 2, axis=-1)
         hidden += nn.Dense(self.pair_width, use_bias=False, name="context")(context)
         hidden = nn.relu(hidden * (1 + scale[:, None]) + shift[:, None])
-        return block, pairs + nn.Dense(self.pair_width, name="pair_out")(hidden)
+        return (block, pairs + nn.Dense(self.pair_width, name="pair_out")(hidden)), None
 
 
 class RectangleTransformer(nn.Module):
@@ -161,6 +161,7 @@ class RectangleTransformer(nn.Module):
     layers: int
     heads: int
     gates: int
+    num_concepts: int
 
     @nn.compact
     def __call__(
@@ -184,7 +185,7 @@ class RectangleTransformer(nn.Module):
         token_mask = jnp.concatenate([block_mask, conditioning.mask])
         is_edge = (edges * token_mask[None, :]).astype(jnp.float32)
         centre, count = linked_centre(is_edge[:, num_block:], conditioning)
-        concept = jax.nn.one_hot(label, NUM_CONCEPTS)
+        concept = jax.nn.one_hot(label, self.num_concepts)
         clock = jnp.broadcast_to(sinusoids(time)[None], (num_block, 16))
         size = jnp.broadcast_to(jnp.sum(block_mask) / num_block, (num_block, 1))
         inputs = jnp.concatenate([concept, clock, size, count / 5.0], axis=-1)
@@ -200,14 +201,36 @@ class RectangleTransformer(nn.Module):
         link = self.param("link", nn.initializers.normal(1.0), (self.pair_width,))
         pairs += is_edge[..., None] * link[None, None]
 
-        for layer in range(self.layers):
-            block, pairs = RectangleLayer(
-                self.node_width, self.pair_width, self.heads, self.gates, name=f"layer_{layer}"
-            )(block, pairs, conditioning, token_mask)
+        sizes = self.node_width, self.pair_width, self.heads, self.gates
+        layers = stacked(RectangleLayer, self.layers)(*sizes, name="layers")
+        (block, pairs), _ = layers((block, pairs), conditioning, token_mask)
 
-        logits_label = nn.Dense(NUM_CONCEPTS, name="label")(nn.LayerNorm(name="out")(block))
+        logits_label = nn.Dense(self.num_concepts, name="label")(nn.LayerNorm(name="out")(block))
         logits_edge = nn.Dense(2, name="edge")(nn.relu(nn.LayerNorm(name="pair_out")(pairs)))
         return logits_label, block_symmetric(logits_edge)
+
+
+class DistanceLayer(nn.Module):
+    """One layer: messages along the edges into the new nodes, and back into the pairs."""
+
+    width: int
+
+    @nn.compact
+    def __call__(
+        self,
+        state: tuple[Float[Array, "M D"], Float[Array, "M tokens D"]],
+        old: Float[Array, "N D"],
+        linked: Float[Array, "M tokens 1"],
+    ) -> tuple[tuple[Float[Array, "M D"], Float[Array, "M tokens D"]], None]:
+        """Returns the new states of the block nodes and of the pairs."""
+        block, pairs = state
+        tokens = jnp.concatenate([block, old], axis=0)
+        message = nn.relu(nn.LayerNorm(name="norm")(pairs + tokens[None])) * linked
+        total = nn.Dense(self.width, name="message")(jnp.sum(message, axis=1))
+        hidden = nn.relu(nn.LayerNorm(name="block_norm")(block + total))
+        block = block + nn.Dense(self.width, name="block")(hidden)
+        mixed = nn.relu(message + nn.Dense(self.width, name="mix")(block)[:, None])
+        return (block, pairs + nn.Dense(self.width, name="pairs")(mixed)), None
 
 
 class DistanceNetwork(nn.Module):
@@ -220,6 +243,7 @@ class DistanceNetwork(nn.Module):
 
     width: int
     layers: int
+    num_concepts: int
 
     @nn.compact
     def __call__(
@@ -242,7 +266,7 @@ class DistanceNetwork(nn.Module):
         num_block = label.shape[0]
         linked = edges[..., None].astype(jnp.float32)
         centre, count = linked_centre(linked[:, num_block:, 0], conditioning)
-        concept = jax.nn.one_hot(label, NUM_CONCEPTS)
+        concept = jax.nn.one_hot(label, self.num_concepts)
         clock = jnp.broadcast_to(sinusoids(time)[None], (num_block, 16))
         block = jnp.concatenate([concept, clock, count / 5.0], axis=-1)
         block = nn.Dense(self.width, name="block")(block)
@@ -252,13 +276,7 @@ class DistanceNetwork(nn.Module):
         geometry = jnp.concatenate([relative_to_points(centre, points), to_old], axis=1)
         inputs = jnp.concatenate([geometry, (distance * edges)[..., None]], axis=-1)
         pairs = nn.Dense(self.width, name="pairs")(inputs)
-        for layer in range(self.layers):
-            tokens = jnp.concatenate([block, old], axis=0)
-            message = nn.relu(nn.LayerNorm(name=f"norm_{layer}")(pairs + tokens[None])) * linked
-            total = nn.Dense(self.width, name=f"message_{layer}")(jnp.sum(message, axis=1))
-            hidden = nn.relu(nn.LayerNorm(name=f"block_norm_{layer}")(block + total))
-            block = block + nn.Dense(self.width, name=f"block_{layer}")(hidden)
-            mixed = nn.relu(message + nn.Dense(self.width, name=f"mix_{layer}")(block)[:, None])
-            pairs = pairs + nn.Dense(self.width, name=f"pairs_{layer}")(mixed)
+        layers = stacked(DistanceLayer, self.layers)(self.width, name="layers")
+        (_, pairs), _ = layers((block, pairs), old, linked)
         predicted = nn.Dense(1, name="distance")(nn.relu(pairs))
         return block_symmetric(predicted)[..., 0]

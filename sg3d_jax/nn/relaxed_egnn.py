@@ -17,9 +17,9 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
+from sg3d_jax.nn.apply import stacked
 from sg3d_jax.nn.embed import Surface, multiscale, relative_to_points, safe_norm, sinusoids
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleLayer, block_symmetric
-from sg3d_jax.scene.ontology import NUM_CONCEPTS
 
 POSITION_HEADS = 4
 
@@ -80,6 +80,37 @@ class PositionUpdate(nn.Module):
         return position + jnp.einsum("mv,mvc->mc", gates, vectors)
 
 
+class RelaxedLayer(nn.Module):
+    """A layer of the rectangle between what it sees of the positions and how it moves them."""
+
+    node_width: int
+    pair_width: int
+    heads: int
+    gates: int
+
+    @nn.compact
+    def __call__(
+        self,
+        state: tuple[Float[Array, "M D"], Float[Array, "M tokens P"], Float[Array, "M 3"]],
+        conditioning: Conditioning,
+        linked: Float[Array, "M tokens"],
+        token_mask: Bool[Array, " tokens"],
+    ) -> tuple[tuple[Float[Array, "M D"], Float[Array, "M tokens P"], Float[Array, "M 3"]], None]:
+        """Returns the new states of the block nodes and of the pairs, and the new positions."""
+        block, pairs, position = state
+        seen = relative_to_points(position, all_surfaces(position, conditioning.surface))
+        pairs += nn.Dense(self.pair_width, name="geometry")(seen)
+        sizes = self.node_width, self.pair_width, self.heads, self.gates
+        rectangle = RectangleLayer(*sizes, name="rectangle")
+        (block, pairs), _ = rectangle((block, pairs), conditioning, token_mask)
+        back = nn.Dense(self.pair_width, use_bias=False, name="back")(block)
+        pairs = pairs.at[:, : block.shape[0]].add(back[None])
+        position = PositionUpdate(name="position")(
+            position, block, pairs, linked, conditioning.surface, token_mask
+        )
+        return (block, pairs, position), None
+
+
 class RelaxedTransformer(nn.Module):
     """Predicts the clean labels, edges and positions of a block from noisy ones."""
 
@@ -88,6 +119,7 @@ class RelaxedTransformer(nn.Module):
     layers: int
     heads: int
     gates: int
+    num_concepts: int
 
     @nn.compact
     def __call__(
@@ -116,7 +148,7 @@ class RelaxedTransformer(nn.Module):
         linked = (edges * token_mask[None, :]).astype(jnp.float32)
         tokens = all_surfaces(position, conditioning.surface)
         mean, count = linked_mean(position, linked, tokens.position)
-        concept = jax.nn.one_hot(label, NUM_CONCEPTS)
+        concept = jax.nn.one_hot(label, self.num_concepts)
         clock = jnp.broadcast_to(sinusoids(time)[None], (num_block, 16))
         size = jnp.broadcast_to(jnp.sum(block_mask) / 10.0, (num_block, 1))
         radius = multiscale(safe_norm(position - centre[None])[:, None])
@@ -132,18 +164,11 @@ class RelaxedTransformer(nn.Module):
         link = self.param("link", nn.initializers.normal(1.0), (self.pair_width,))
         pairs += linked[..., None] * link[None, None]
 
-        for layer in range(self.layers):
-            seen = relative_to_points(position, all_surfaces(position, conditioning.surface))
-            pairs += nn.Dense(self.pair_width, name=f"geometry_{layer}")(seen)
-            block, pairs = RectangleLayer(
-                self.node_width, self.pair_width, self.heads, self.gates, name=f"layer_{layer}"
-            )(block, pairs, conditioning, token_mask)
-            back = nn.Dense(self.pair_width, use_bias=False, name=f"back_{layer}")(block)
-            pairs = pairs.at[:, :num_block].add(back[None])
-            position = PositionUpdate(name=f"position_{layer}")(
-                position, block, pairs, linked, conditioning.surface, token_mask
-            )
+        sizes = self.node_width, self.pair_width, self.heads, self.gates
+        layers = stacked(RelaxedLayer, self.layers)(*sizes, name="layers")
+        state = block, pairs, position
+        (block, pairs, position), _ = layers(state, conditioning, linked, token_mask)
 
-        logits_label = nn.Dense(NUM_CONCEPTS, name="label")(nn.LayerNorm(name="out")(block))
+        logits_label = nn.Dense(self.num_concepts, name="label")(nn.LayerNorm(name="out")(block))
         logits_edge = nn.Dense(2, name="edge")(nn.relu(nn.LayerNorm(name="pair_out")(pairs)))
         return logits_label, block_symmetric(logits_edge), position

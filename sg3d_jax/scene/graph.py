@@ -9,20 +9,22 @@ are silently wrong when a graph fills its capacity (jraph issue 55). A padded gr
 and edges fill the first slots is a `PackedGraph`; only such a one can be appended to.
 """
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jraph
 import numpy as np
 
-from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PROXIMITY, RELATIONS, Ontology
+from sg3d_jax.scene.ontology import (
+    FEATURES,
+    PAPER_ONTOLOGY,
+    PART_OF,
+    PROXIMITY,
+    RELATIONS,
+    Ontology,
+)
 
 Array = Any  # jax.Array on the device, np.ndarray on the host: no checker can know which
-
-# What a node may have beside its position, and the shape of it: fields of `Nodes`. Which concepts
-# have which is said by the ontology; formats and checks go through this table.
-FEATURES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType({"normal": (3,), "width": ()})
 
 
 class Nodes(NamedTuple):
@@ -95,16 +97,15 @@ def make_graph(
     relation = np.repeat([PROXIMITY, PART_OF], [len(proximity), len(part_of)]).astype(np.int32)
     label = np.asarray(label, np.int32)
     features = {
-        name: np.zeros((len(label), *FEATURES[name])) if array is None else np.asarray(array, float)
-        for name, array in (("normal", normal), ("width", width))
+        name: np.zeros((len(label), *shape)) if array is None else _rows(array, shape)
+        for array, (name, shape) in zip((normal, width), FEATURES.items(), strict=True)
     }
     known = (label >= 0) & (label < ontology.num_concepts)  # what is not is refused when validated
     return SceneGraph(
         nodes=Nodes(
             label=label,
-            position=np.asarray(position, np.float64).reshape(-1, 3),
-            normal=features["normal"].reshape(-1, 3),
-            width=features["width"],
+            position=_rows(position, (3,)),
+            **features,
             observed=known & ontology.is_observed[np.where(known, label, 0)],
             mask=np.ones(len(label), bool),
         ),
@@ -115,6 +116,12 @@ def make_graph(
         n_edge=np.array([2 * len(pairs)], np.int32),
         globals=ontology,
     )
+
+
+def _rows(array: Array, shape: tuple[int, ...]) -> np.ndarray:
+    """Returns rows as float64: none in their right shape, any others as they are, to be checked."""
+    rows = np.asarray(array, np.float64)
+    return rows if rows.size else rows.reshape(0, *shape)
 
 
 def ontology_of(graph: SceneGraph) -> Ontology:
@@ -151,7 +158,7 @@ def subgraph(graph: SceneGraph, rows: Array, edges: bool = True) -> SceneGraph:
       edges: False to leave all edges out.
     """
     rows = np.asarray(rows)
-    rows = np.flatnonzero(rows) if rows.dtype == bool else rows
+    rows = np.flatnonzero(rows) if rows.dtype == bool else rows.astype(int)
     place = np.full(len(graph.nodes.label), -1)
     place[rows] = np.arange(len(rows))
     pairs = {

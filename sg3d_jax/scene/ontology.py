@@ -10,7 +10,8 @@ Source: paper, Sec. "Problem definition".
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Any, Final, get_origin
 
 import jax
 import numpy as np
@@ -18,6 +19,10 @@ import numpy as np
 RELATIONS: Final = ("proximity", "part_of")
 PROXIMITY, PART_OF = range(len(RELATIONS))
 NUM_RELATIONS: Final = len(RELATIONS)
+
+# What a node may have beside its position, and the shape of it: fields of `graph.Nodes`. Which
+# concepts have which is said by the ontology; formats and checks go through this table.
+FEATURES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType({"normal": (3,), "width": ()})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +35,7 @@ class Concept:
       letter: of its node symbols in Spark-DSG, one ASCII letter.
       layer: its layer in Spark-DSG, upper case, plural.
       observed: whether its nodes are given, and never generated.
-      features: what its nodes have beside a position, of `graph.FEATURES`; zero for all others.
+      features: what its nodes have beside a position, of `FEATURES`; zero for all others.
       least_parts: fewer parts than this are odd.
       above: whether a node stands above its parts, and not amid them.
       hears_kin: whether its nodes hear of the nearest others of their own concept in the encoder.
@@ -75,8 +80,8 @@ class Ontology:
       rules: what may be part of what.
 
     Raises:
-      ValueError: names, letters or layers repeat, a rule names no two concepts bottom-up, nothing
-        is observed, or everything is.
+      ValueError: names, letters or layers repeat, a feature is unknown, a rule names no two
+        concepts bottom-up, nothing is observed, or everything is.
     """
 
     concepts: tuple[Concept, ...]
@@ -95,6 +100,11 @@ class Ontology:
             if not (len(colour) == 7 and colour[0] == "#" and _is_hex(colour[1:])):
                 raise ValueError(
                     f"ontology: colour of {concept.name} is {colour!r}, expected such as '#1d4ed8'"
+                )
+            if unknown := [name for name in concept.features if name not in FEATURES]:
+                known = ", ".join(FEATURES)
+                raise ValueError(
+                    f"ontology: feature of {concept.name} is {unknown[0]!r}, expected of {known}"
                 )
         if self.is_observed.all() or not self.is_observed.any():
             raise ValueError("ontology: expected concepts that are observed, and others that grow")
@@ -189,9 +199,18 @@ def ontology_from_dict(values: Any, where: str = "ontology") -> Ontology:
     return PAPER_ONTOLOGY if made == PAPER_ONTOLOGY else made  # one object is compared faster
 
 
-def _record(kind: type, values: Mapping[str, Any]) -> Any:
-    """Returns a dataclass of JSON values; its lists are tuples."""
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+def _record(kind: Any, values: Mapping[str, Any]) -> Any:
+    """Returns a dataclass of JSON values; its lists are tuples.
+
+    Raises:
+      TypeError: a field is unknown, lacking, or of another type.
+    """
+    made = kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+    for field in dataclasses.fields(kind):
+        expected: Any = get_origin(field.type) or field.type
+        if not isinstance(getattr(made, field.name), expected):
+            raise TypeError(field.name)
+    return made
 
 
 def _is_hex(text: str) -> bool:

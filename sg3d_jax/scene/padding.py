@@ -89,15 +89,16 @@ def unpad(graph: SceneGraph) -> SceneGraph:
 def pack(graph: SceneGraph) -> PackedGraph:
     """Moves the real nodes and edges of one padded graph to the first slots, in their order.
 
-    Padding is zero afterwards. Runs under `jit` and `vmap`.
+    Padding is zero afterwards. On the device; runs under `jit` and `vmap`.
     """
+    graph = jax.tree.map(jnp.asarray, graph)
     nodes, edges = graph.nodes, graph.edges
     order, edge_order = (jnp.argsort(~mask, stable=True) for mask in (nodes.mask, edges.mask))
     place = jnp.argsort(order)
 
     def moved(array: Array, mask: Array, order: Array) -> Array:
-        array = jnp.where(mask.reshape(-1, *[1] * (array.ndim - 1)), array, 0)
-        return array[order].astype(array.dtype)
+        real = mask.reshape(-1, *[1] * (array.ndim - 1))
+        return jnp.where(real, array, jnp.zeros_like(array))[order]
 
     def counts(mask: Array) -> Array:
         return jnp.stack([jnp.sum(mask), jnp.sum(~mask)]).astype(jnp.int32)
@@ -129,9 +130,7 @@ def part_of_adjacency(graph: SceneGraph) -> Bool[Array, "N N"]:
     return empty.at[graph.receivers, graph.senders].max(chosen)
 
 
-def masked(
-    graph: SceneGraph, nodes: Bool[Array, " N"], edges: Bool[Array, " E"]
-) -> SceneGraph:
+def masked(graph: SceneGraph, nodes: Bool[Array, " N"], edges: Bool[Array, " E"]) -> SceneGraph:
     """Returns a padded graph with other masks: no longer packed, its slots may have holes."""
 
     def counts(mask: Bool[Array, " K"]) -> Int[Array, "2"]:

@@ -4,6 +4,7 @@ Every refusal is a `ValueError` of one sentence: where, which node or plane (cou
 field, what it holds, and what was expected.
 """
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -61,16 +62,17 @@ def checked_observed(graph: SceneGraph, where: str) -> SceneGraph:
     _refuse(where, "nodes", "label", label, ~_is_known(graph), _known_labels(graph))
     kinds = [kind for kind in range(ontology.num_concepts) if ontology.is_observed[kind]]
     observed = np.isin(label, kinds)
+    plural = " or ".join(ontology.concepts[kind].layer.lower() for kind in kinds)
     if observed.sum() < LEAST_OBSERVED:
-        plural = ontology.concepts[kinds[0]].layer.lower()
-        held = f"one {ontology.names[kinds[0]]}" if observed.any() else f"no {plural}"
+        held = f"one {ontology.names[label[observed][0]]}" if observed.any() else f"no {plural}"
         raise ValueError(f"{where}: {plural} holds {held}, expected at least two to group")
     for kind in kinds:
         concept, rows = ontology.concepts[kind], label == kind
         _check_intake(graph, rows, concept.features, where, concept.layer.lower())
-    _check_metres(position[observed], np.asarray(nodes.width)[observed], where)
+    _check_featureless(graph, observed, where)
+    _check_metres(position[observed], np.asarray(nodes.width)[observed], where, plural)
     length = np.linalg.norm(nodes.normal, axis=-1, keepdims=True)
-    off = (length > 0) & (np.abs(length - 1) > GRAPH_UNIT_TOLERANCE)
+    off = observed[:, None] & (length > 0) & (np.abs(length - 1) > GRAPH_UNIT_TOLERANCE)
     normal = np.where(off, nodes.normal / np.where(off, length, 1.0), nodes.normal)
     return graph._replace(nodes=nodes._replace(normal=normal)) if off.any() else graph
 
@@ -95,7 +97,7 @@ def _check_intake(
     if "width" in features:
         width = columns["width"]
         _refuse(where, plural, "width", width, width <= 0, "more than zero metres")
-    _check_duplicates(np.column_stack([*columns.values()]), where, plural)
+    _check_duplicates(columns, where, plural)
 
 
 def _check_shape(where: str, name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
@@ -138,13 +140,19 @@ def _check_nodes(graph: SceneGraph, where: str) -> None:
     skewed = facing & ~_is_unit(normal, GRAPH_UNIT_TOLERANCE)
     _refuse(where, "nodes", "normal", normal, skewed, "length 1")
     _refuse(where, "nodes", "width", width, wide & (width < 0), "zero metres or more")
-    for name in FEATURES:
-        values, having = np.asarray(getattr(nodes, name)), ontology.has(name)
-        owners = " and ".join(c.layer.lower() for c in ontology.concepts if name in c.features)
-        astray = ~having[label] & (values.reshape(len(label), -1) != 0).any(axis=-1)
-        _refuse(where, "nodes", name, values, astray, f"zero: only {owners or 'others'} have one")
+    _check_featureless(graph, np.ones(len(label), bool), where)
     wrong = np.asarray(nodes.observed) != ontology.is_observed[label]
     _refuse(where, "nodes", "observed", np.asarray(nodes.observed), wrong, "what its label says")
+
+
+def _check_featureless(graph: SceneGraph, rows: np.ndarray, where: str) -> None:
+    """Refuses nodes that have a feature which their concept has not."""
+    ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
+    for name in FEATURES:
+        values, having = np.asarray(getattr(graph.nodes, name)), ontology.has(name)[label]
+        owners = " and ".join(c.layer.lower() for c in ontology.concepts if name in c.features)
+        astray = rows & ~having & _rows_with_any(values != 0)
+        _refuse(where, "nodes", name, values, astray, f"zero: only {owners or 'others'} have one")
 
 
 def _is_known(graph: SceneGraph) -> np.ndarray:
@@ -188,26 +196,28 @@ def _check_rules(graph: SceneGraph, where: str) -> None:
         _refuse_edge(where, ends, wrong, problem)
 
 
-def _check_metres(position: np.ndarray, width: np.ndarray, where: str) -> None:
+def _check_metres(position: np.ndarray, width: np.ndarray, where: str, plural: str) -> None:
     with np.errstate(over="ignore"):
         extent = float(np.ptp(position, axis=0).max())
     median = float(np.median(width[width > 0])) if (width > 0).any() else 0.0
     if median > MAX_MEDIAN_WIDTH or extent > MAX_EXTENT:
         raise ValueError(
-            f"{where}: planes spans {extent:.6g} with a median width of {median:.6g}, which looks "
-            "like millimetres, expected centroid and width in metres"
+            f"{where}: {plural} spans {extent:.6g} with a median width of {median:.6g}, which "
+            "looks like millimetres, expected centroid and width in metres"
         )
 
 
-def _check_duplicates(rows: np.ndarray, where: str, plural: str) -> None:
+def _check_duplicates(columns: Mapping[str, np.ndarray], where: str, plural: str) -> None:
+    rows = np.column_stack([*columns.values()])
     rounded = np.round(rows, DUPLICATE_DECIMALS) + 0.0  # + 0.0 makes -0.0 and 0.0 the same
     _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     original = first[group.reshape(-1)]
     repeats = np.flatnonzero(original != np.arange(len(rows)))
     if repeats.size:
+        *most, last = columns
         raise ValueError(
             f"{where}: {plural}[{repeats[0]}] repeats {plural}[{original[repeats[0]]}], expected a "
-            "different centroid, normal or width"
+            f"different {', '.join(most)}{' or ' if most else ''}{last}"
         )
 
 
@@ -216,11 +226,16 @@ def _is_unit(normal: np.ndarray, tolerance: float) -> np.ndarray:
         return np.abs(np.linalg.norm(normal, axis=-1) - 1) <= tolerance
 
 
+def _rows_with_any(array: np.ndarray) -> np.ndarray:
+    """Returns bool[n], whether anything of a row is True; there may be no rows."""
+    return array.any(axis=tuple(range(1, array.ndim)))
+
+
 def _refuse(
     where: str, items: str, name: str, values: np.ndarray, wrong: np.ndarray, expected: str
 ) -> None:
     """Raises for the first wrong row, if any."""
-    rows = wrong.reshape(len(wrong), -1).any(axis=-1)
+    rows = _rows_with_any(wrong)
     if rows.any():
         index = int(np.argmax(rows))
         held = _text(values[index])

@@ -7,7 +7,8 @@ from typing import Any
 
 from sg3d_jax.fill.fd4 import FD4Config
 from sg3d_jax.flagg.step import FlaggConfig
-from sg3d_jax.train.methods import GROWING, METHODS, ModelConfig, method_of
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology, ontology_from_dict
+from sg3d_jax.train.methods import METHODS, method_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +42,8 @@ class Config:
     """One run. Together with the code it determines every parameter, bit for bit."""
 
     data: DataConfig = DataConfig()
-    model: ModelConfig = FD4Config()
+    ontology: Ontology = PAPER_ONTOLOGY  # the concepts of the data
+    model: Any = FD4Config()  # the numbers of the model: the configuration of a method
     flagg: FlaggConfig | None = FlaggConfig()  # how it grows; None for models that do not
     optimiser: OptimiserConfig = OptimiserConfig()
     initial: str | None = None  # weights to start from, by name or path; None for a random draw
@@ -80,8 +82,13 @@ def from_dict(values: dict[str, Any]) -> Config:
     fields = dict(values)
     method = fields.pop("method", Config().method)
     if method not in METHODS:
-        raise ValueError(f"unknown method {method!r}, expected one of {', '.join(METHODS)}")
-    return _rebuild(Config(model=METHODS[method].config()), fields)
+        raise ValueError(
+            f"unknown method {method!r}, expected one of {', '.join(METHODS)}, or one of your own: "
+            "run the file that registers it first (--code FILE)"
+        )
+    ontology = ontology_from_dict(fields.pop("ontology", None))
+    default = Config(ontology=ontology, model=METHODS[method].config())
+    return _rebuild(default, fields)
 
 
 def check(config: Config) -> None:
@@ -97,7 +104,7 @@ def check(config: Config) -> None:
         value, unit = getattr(config, name), config.steps_per_call
         if value % unit:
             raise ValueError(f"{name} is {value}, expected a multiple of steps_per_call, {unit}")
-    grows = METHODS[config.method].kind is GROWING
+    grows = METHODS[config.method].grows
     if grows != (config.flagg is not None):
         expected = "how it grows" if grows else "None, because it does not grow"
         raise ValueError(f"flagg of {config.method} is {config.flagg}, expected {expected}")

@@ -8,8 +8,8 @@ import numpy as np
 
 from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
-from sg3d_jax.scene.ontology import CONCEPTS
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.nn.kin import kin_slots
+from sg3d_jax.scene.graph import PackedGraph, SceneGraph, ontology_of
 from sg3d_jax.scene.padding import Capacity, stack
 from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
@@ -24,23 +24,22 @@ def load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph]
     Args:
       config: which data set, and how it is dealt.
       part: of it.
-      *methods: that are to be trained or scored on them; those that know no concept above the room
-        are refused buildings and cities.
+      *methods: that are to be trained or scored on them; they refuse graphs that are beyond them.
 
     Raises:
       ValueError: there is no such data set, it has no graphs for this part, or a method does not
         apply to them.
     """
     name = config.name
-    if spec := registry.DATASETS.get(name):
-        _check_top(name, spec.top, methods)
-        if spec.config is None:
-            raise ValueError(
-                f"{name} is made of a file that you have, expected the npz file that "
-                f"`sg3d data import {name} FILE -o {name}.npz` writes, as --data or --data.name"
-            )
+    if (spec := registry.DATASETS.get(name)) and spec.config is None:
+        raise ValueError(
+            f"{name} is made of a file that you have, expected the npz file that "
+            f"`sg3d data import {name} FILE -o {name}.npz` writes, as --data or --data.name"
+        )
     graphs, header = registry.load(name, config.num_graphs, config.seed)
-    _check_top(name, max((int(graph.nodes.label.max()) for graph in graphs), default=0), methods)
+    for method in methods:
+        if method in METHODS:
+            _check_targets(name, graphs, method)
     if part == "all":
         return graphs
     chosen = getattr(split_of(header, len(graphs), config.split_seed), part)
@@ -49,17 +48,16 @@ def load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph]
     return [graphs[i] for i in chosen]
 
 
-def _check_top(name: str, top: int, methods: Sequence[str]) -> None:
-    """Refuses a data set whose highest concept is above those of a method."""
-    for method in methods:
-        if method in METHODS and top > METHODS[method].kind.top:
-            raise ValueError(
-                f"{name} reaches up to a {CONCEPTS[top]}, expected single floors, because {method} "
-                "finds walls and rooms alone"
-            )
+def _check_targets(name: str, graphs: Sequence[SceneGraph], method: str) -> None:
+    """Refuses a data set with a graph that a method cannot complete."""
+    for index, graph in enumerate(graphs):
+        try:
+            METHODS[method].target(graph)
+        except ValueError as error:
+            raise ValueError(f"{name}: graph {index}: {method}: {error}") from error
 
 
-def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> list[SceneGraph]:
+def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> list[PackedGraph]:
     """Stacks complete host graphs with their proximity edges, each in the smallest bucket.
 
     Args:
@@ -70,7 +68,7 @@ def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> li
     Returns:
       One stack a bucket that is used; as many edge slots as its graphs need.
     """
-    sizes = np.array([len(graph.nodes.label) for graph in graphs])
+    sizes = np.array([_slots(graph) for graph in graphs])
     capacities = list(capacities)
     while sizes.max() > capacities[-1]:
         capacities.append(2 * capacities[-1])
@@ -86,7 +84,16 @@ def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> li
     return stacks
 
 
-def _with_edge_slots(graphs: SceneGraph, slots: int) -> SceneGraph:
+def _slots(graph: SceneGraph) -> int:
+    """Returns the least capacity of a host graph, in which all kin have a slot, too."""
+    num_kin = int(np.sum(ontology_of(graph).hears_kin[graph.nodes.label]))
+    slots = len(graph.nodes.label)
+    while kin_slots(slots) < num_kin:
+        slots += 1
+    return slots
+
+
+def _with_edge_slots(graphs: PackedGraph, slots: int) -> PackedGraph:
     """Drops the edge slots that no graph of the stack uses."""
     real = graphs.n_edge[:, 0]
     return graphs._replace(

@@ -1,4 +1,4 @@
-"""Methods by name: anything that turns planes into scene graphs and can be scored."""
+"""What can be scored, by name: anything that turns planes into scene graphs."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sg3d_jax.baselines import rand
+from sg3d_jax.infer.complete import complete, share_halted
 from sg3d_jax.io.formats import READABLE, read_graphs
 from sg3d_jax.scene.graph import SceneGraph, observed_of
-from sg3d_jax.train import models
 from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split
-from sg3d_jax.train.methods import CLASSIFYING, METHODS
+from sg3d_jax.train.methods import METHODS, sampling_steps
 from sg3d_jax.train.presets import BASELINES, parse
 from sg3d_jax.train.weights import load_weights, names, with_diffusion_steps
 
@@ -25,8 +25,8 @@ class Result(NamedTuple):
     halted: float | None = None  # share of graphs that a growing method found complete
 
 
-class Method(NamedTuple):
-    """A method on a data set."""
+class Contender(NamedTuple):
+    """A method on a data set, trained or fitted, or graphs that somebody made."""
 
     name: str  # of the method; of graphs that somebody made, their file
     weights: str | None  # name or file; None for methods without
@@ -36,9 +36,9 @@ class Method(NamedTuple):
     diffusion_steps: int | None = None  # of the topology; None for methods without
 
 
-def load_method(
+def load_contender(
     name: str, data: str | None = None, diffusion_steps: int | None = None, candidates: int = 1
-) -> Method:
+) -> Contender:
     """Returns a method, trained or fitted.
 
     Args:
@@ -68,17 +68,17 @@ def load_method(
         raise ValueError(f"{name} is not of one data set, expected --data with one")
     source = DataConfig(name=data)
     if method not in BASELINES:
-        return Method(name, None, source, lambda scenes, seed: Result(_read(name, scenes)))
+        return Contender(name, None, source, lambda scenes, seed: Result(_read(name, scenes)))
     model = BASELINES[method](load_split(source, "train"), source.label)
-    return Method(
+    return Contender(
         method, None, source, lambda scenes, seed: Result(rand.complete(model, scenes, seed))
     )
 
 
 def _weights_of(method: str, data: str) -> str:
     """Returns the name of the weights with which a method is scored on a data set."""
-    spec = METHODS[method]  # edge classifiers are trained once, as in the paper
-    name = f"{method}-{spec.home if spec.kind is CLASSIFYING else data}"
+    spec = METHODS[method]
+    name = f"{method}-{spec.home if spec.trained_at_home else data}"
     if name not in names():
         raise ValueError(
             f"no weights {name} come with the package: `sg3d train {name}` trains them, and "
@@ -87,7 +87,9 @@ def _weights_of(method: str, data: str) -> str:
     return name
 
 
-def _trained(name: str, data: str | None, diffusion_steps: int | None, candidates: int) -> Method:
+def _trained(
+    name: str, data: str | None, diffusion_steps: int | None, candidates: int
+) -> Contender:
     """Returns completing by trained weights."""
     trained = load_weights(name)
     if diffusion_steps is not None:
@@ -96,20 +98,18 @@ def _trained(name: str, data: str | None, diffusion_steps: int | None, candidate
     if data is not None and data != source.name:
         source = dataclasses.replace(source, name=data, num_graphs=None)
 
-    def complete(scenes: Sequence[SceneGraph], seed: int) -> Result:
-        completed = models.complete(
-            trained.model, trained.params, scenes, seed, candidates=candidates
-        )
+    def complete_all(scenes: Sequence[SceneGraph], seed: int) -> Result:
+        completed = complete(trained.model, trained.params, scenes, seed, candidates=candidates)
         made = [one for one, *_ in completed]
-        return Result([one.graph for one in made], models.share_halted(made))
+        return Result([one.graph for one in made], share_halted(made))
 
-    return Method(
+    return Contender(
         name=config.method,
         weights=name,
         data=source,
-        complete=complete,
-        target=lambda graph: models.target(trained.model, graph),
-        diffusion_steps=models.sampling_steps(config.model),
+        complete=complete_all,
+        target=METHODS[config.method].target,
+        diffusion_steps=sampling_steps(config.model),
     )
 
 

@@ -10,27 +10,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import numpy as np
 
+from sg3d_jax.fill.protocol import Params
+from sg3d_jax.infer.complete import complete, share_halted
+from sg3d_jax.infer.lanes import Model, root_key
 from sg3d_jax.io.files import read_documents, replacing
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import exact_structure
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
 from sg3d_jax.train import checkpoint
 from sg3d_jax.train.config import Config, check, to_json
 from sg3d_jax.train.dataset import load_split, stack_by_size
 from sg3d_jax.train.log import display, writers
-from sg3d_jax.train.methods import (
-    Measured,
-    Model,
-    Params,
-    build_model,
-    complete,
-    measure,
-    share_halted,
-    target,
-)
+from sg3d_jax.train.methods import METHODS, Measured, build_model, measure
+from sg3d_jax.train.statistics import shares_of
 from sg3d_jax.train.step import TrainState, init_state, make_train_call
 from sg3d_jax.train.weights import load_weights, save_weights
 
@@ -47,21 +43,24 @@ class Run(NamedTuple):
 
 def prepare(config: Config) -> Run:
     """Makes or reads the data and builds the model."""
-    stacks = stack_by_size(load_split(config.data, "train", config.method), config.capacities)
+    graphs = load_split(config.data, "train", config.method)
+    _check_concepts(config, graphs)
+    stacks = stack_by_size(graphs, config.capacities)
     statistics = measure(config.model, config.flagg, stacks)
     validation = load_split(config.data, "validation")[: config.validation_graphs]
-    model = build_model(config.model, config.flagg, statistics)
+    model = build_model(config.model, config.flagg, statistics, config.ontology)
     return Run(config, model, statistics, stacks, validation)
 
 
-def shares_of(stacks: Sequence[SceneGraph]) -> np.ndarray:
-    """Returns the share of calls that each bucket gets: that of its nodes.
-
-    A graph has as many growth steps as nodes to insert. FLAGG trains on all of them, so a large
-    graph counts more; otherwise the large floors among many small ones would hardly be seen.
-    """
-    sizes = np.array([np.sum(stack.n_node[:, 0]) for stack in stacks])
-    return sizes / sizes.sum()
+def _check_concepts(config: Config, graphs: Sequence[SceneGraph]) -> None:
+    """Refuses graphs of other concepts than those that are to be learnt."""
+    for index, graph in enumerate(graphs):
+        if ontology_of(graph) != config.ontology:
+            held, wanted = (", ".join(o.names) for o in (ontology_of(graph), config.ontology))
+            raise ValueError(
+                f"{config.data.name}: graph {index} has the concepts {held}, expected {wanted}, as "
+                "the ontology of the configuration says"
+            )
 
 
 def bucket_of_call(config: Config, shares: np.ndarray, call: int) -> int:
@@ -73,7 +72,7 @@ def validate(run: Run, params: Params) -> dict[str, float]:
     """Completes the validation scenes and scores them: means of FGW, GW, W, exact structures."""
     completions = complete(run.model, params, run.validation, run.config.validation_seed)
     made = [samples[0].graph for samples in completions]
-    truth = [target(run.model, graph) for graph in run.validation]
+    truth = [METHODS[run.config.method].target(graph) for graph in run.validation]
     scores = fgw_pairs(made, truth)
     exact = [exact_structure(*pair) for pair in zip(made, truth, strict=True)]
     halted = share_halted([samples[0] for samples in completions])
@@ -133,14 +132,15 @@ def start_from_weights(config: Config, state: TrainState) -> TrainState:
         return state
     trained = load_weights(config.initial)
 
-    def shapes(params: Params) -> Any:
-        return jax.tree.map(lambda leaf: leaf.shape, params)
-
-    if trained.config.method != config.method or shapes(trained.params) != shapes(state.params):
+    try:
+        if trained.config.method != config.method:
+            raise AssertionError
+        chex.assert_trees_all_equal_shapes_and_dtypes(trained.params, state.params)
+    except AssertionError as error:
         raise ValueError(
             f"initial: {config.initial} are weights of {trained.config.method} with other layers, "
             f"expected those of {config.method} with the widths, layers and coins of this run"
-        )
+        ) from error
     return state._replace(params=trained.params, average=trained.params)
 
 
@@ -149,7 +149,7 @@ def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, direc
     config = run.config
     train_call = make_train_call(config, run.model)
     record = writers(directory)
-    key, shares = jax.random.key(config.seed + 1), shares_of(run.stacks)
+    key, shares = root_key(config.seed + 1), shares_of(run.stacks)
     with display(config.steps, int(state.step)) as shown:
         while int(state.step) < config.steps:
             first, began = int(state.step), time.monotonic()

@@ -1,164 +1,158 @@
-"""Every model that can be trained, by the name of its method, behind the same functions.
+"""Every method that can be trained, by name: ours, and those that a user registers.
 
-A method is one entry of `METHODS`. Training, validation, weights, scores and the command line call
-the functions below, whatever the model.
+A method is a configuration of numbers and how a model is made of it. Training, weights, scores and
+the command line ask here, whatever the model.
 """
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
-from jaxtyping import Array, Float, Key
-
-from sg3d_jax.baselines import edge_classifier, midi_oracle
-from sg3d_jax.baselines.edge_classifier import (
-    ECLConfig,
-    ECSquareConfig,
-    EdgeClassifier,
-    make_edge_classifier,
-)
+from sg3d_jax.baselines import edge_classifier
+from sg3d_jax.baselines.edge_classifier import ECL, ECLConfig, ECSquare, ECSquareConfig
 from sg3d_jax.baselines.edge_features import Scales, count_scales
-from sg3d_jax.baselines.midi_oracle import MiDiOracle, MiDiOracleConfig, make_midi_oracle
-from sg3d_jax.fill.fd4 import FD4Config, make_fd4
-from sg3d_jax.fill.midi import MiDiConfig, make_midi
-from sg3d_jax.fill.protocol import Fill, Statistics
-from sg3d_jax.flagg import sample, step
-from sg3d_jax.flagg.removal import check_one_shot, one_shot_cut
-from sg3d_jax.flagg.grow import Completion
-from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg
-from sg3d_jax.infer.candidates import medoids
-from sg3d_jax.scene.ontology import CITY, FLOOR
+from sg3d_jax.baselines.midi_oracle import (
+    MiDiOracle,
+    MiDiOracleConfig,
+    check_one_shot,
+    one_shot_cut,
+)
+from sg3d_jax.fill.fd4 import FD4, FD4Config
+from sg3d_jax.fill.midi import MiDi, MiDiConfig
+from sg3d_jax.fill.protocol import Fill, Params, Statistics
+from sg3d_jax.flagg import step
+from sg3d_jax.flagg.step import Flagg, FlaggConfig
+from sg3d_jax.infer.lanes import Model
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.train.statistics import statistics_of
 
-ModelConfig = FD4Config | MiDiOracleConfig | MiDiConfig | ECSquareConfig | ECLConfig
-Model = Flagg | MiDiOracle | EdgeClassifier
 Measured = Statistics | Scales  # what a model knows of its training set
-Params = Any  # nested dictionaries of arrays; of Flagg, those of its three modules
 
 
-class Kind(NamedTuple):
-    """What is done with the models of one type.
-
-    Attributes:
-      statistics: the type of what they know of their training set.
-      measure: (how to grow, stacks of training graphs) -> statistics.
-      params: (nested dictionaries, as a weights file holds them) -> parameters.
-      init, loss, complete: the functions below of the same names.
-      target: (true host graph) -> what of it is to be completed.
-      top: the highest concept of graphs that they can be trained and scored on.
-    """
-
-    statistics: Callable[..., Measured]
-    measure: Callable[[Any, Sequence[SceneGraph]], Measured]
-    params: Callable[[dict[str, Any]], Params]
-    init: Callable[..., Params]
-    loss: Callable[..., Any]
-    complete: Callable[..., list[list[Completion]]]
-    target: Callable[[SceneGraph], SceneGraph]
-    top: int
-
-
-class MethodSpec(NamedTuple):
+class Method(NamedTuple):
     """A method that is trained.
 
     Attributes:
-      config: the dataclass of its model's numbers.
-      make: (config, how to grow or None, statistics) -> model.
-      kind: what is done with it.
+      config: the frozen dataclass of its model's numbers.
+      make: (config, how it grows or None, statistics, ontology) -> model.
+      measure: (how it grows or None, stacks of training graphs) -> statistics.
+      statistics: their type.
+      grows: whether its models grow; they then have a `FlaggConfig`.
       steps: the field of the configuration that says how many diffusion steps a sample of the
         topology takes; None for methods that do not diffuse.
-      home: the data set whose configuration is taken for sets that have none of their own.
+      home: the data set whose configuration is taken for sets that have none of their own; None
+        where every run has its own file.
+      trained_at_home: whether one training serves all data sets.
+      target: (true host graph) -> what of it is to be completed; refuses what it cannot be.
     """
 
-    config: Callable[..., Any]
-    make: Callable[[Any, Any, Any], Any]
-    kind: Kind
-    steps: str | None
-    home: str
+    config: type
+    make: Callable[[Any, FlaggConfig | None, Any, Ontology], Model]
+    measure: Callable[[FlaggConfig | None, Sequence[SceneGraph]], Measured]
+    statistics: type[Measured]
+    grows: bool
+    steps: str | None = None
+    home: str | None = None
+    trained_at_home: bool = False
+    target: Callable[[SceneGraph], SceneGraph] = lambda graph: graph
 
 
-def _measure_cuts(flagg: FlaggConfig, stacks: Sequence[SceneGraph]) -> Statistics:
-    return statistics_of(functools.partial(step.cut_graph, flagg), stacks)
+def _measure_cuts(flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]) -> Statistics:
+    return statistics_of(functools.partial(step.cut_graph, flagg or FlaggConfig()), stacks)
 
 
-def _measure_one_shot(flagg: None, stacks: Sequence[SceneGraph]) -> Statistics:
+def _measure_one_shot(flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]) -> Statistics:
     check_one_shot(stacks)
     return statistics_of(lambda key, graph: one_shot_cut(graph), stacks, cuts_a_graph=1)
 
 
-def _params_of_modules(branches: dict[str, Any]) -> step.Params:
-    """Returns the parameters of Flagg; a module without any left no branch in a file."""
-    return step.Params(*(branches.get(module, {}) for module in step.Params._fields))
+def _growing(
+    config: type,
+    make_fill: Callable[[Any, Statistics, Ontology], Fill],
+    steps: str | None,
+    home: str | None,
+) -> Method:
+    """Returns the method that grows by a Fill model."""
+
+    def make(config: Any, flagg: Any, statistics: Any, ontology: Ontology) -> Model:
+        return Flagg(flagg, make_fill(config, statistics, ontology))
+
+    return Method(config, make, _measure_cuts, Statistics, grows=True, steps=steps, home=home)
 
 
-def _around(make_fill: Callable[[Any, Any], Fill]) -> Callable[[Any, Any, Any], Flagg]:
-    """Returns how to make a growing model of a Fill model."""
-    return lambda config, flagg, statistics: make_flagg(flagg, make_fill(config, statistics))
+def _classifying(config: type, make: Callable[[Any, Scales], Model], home: str) -> Method:
+    """Returns the method of an edge classifier, which knows the paper's concepts alone."""
+    return Method(
+        config=config,
+        make=lambda config, flagg, scales, ontology: make(config, scales),
+        measure=lambda flagg, stacks: count_scales(stacks),
+        statistics=Scales,
+        grows=False,
+        home=home,
+        trained_at_home=True,
+        target=edge_classifier.target,
+    )
 
 
-def _alone(make: Callable[[Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
-    """Returns how to make a model that does not grow."""
-    return lambda config, flagg, statistics: make(config, statistics)
+METHODS: Final[dict[str, Method]] = {
+    "ec-square": _classifying(ECSquareConfig, ECSquare, "s-f-square"),
+    "ec-l": _classifying(ECLConfig, ECL, "s-f"),
+    "midi-or": Method(
+        config=MiDiOracleConfig,
+        make=lambda config, flagg, statistics, ontology: MiDiOracle(config, statistics, ontology),
+        measure=_measure_one_shot,
+        statistics=Statistics,
+        grows=False,
+        steps="sampling_steps",
+        home="s-f",
+    ),
+    "fd4": _growing(FD4Config, FD4, "topology_steps", "s-f"),
+    "midi": _growing(MiDiConfig, MiDi, "sampling_steps", "s-f"),
+}
 
 
-GROWING: Final = Kind(
-    statistics=Statistics,
-    measure=_measure_cuts,
-    params=_params_of_modules,
-    init=step.init,
-    loss=step.loss,
-    complete=sample.complete,
-    target=lambda graph: graph,
-    top=CITY,
-)
-ONE_SHOT: Final = Kind(
-    statistics=Statistics,
-    measure=_measure_one_shot,
-    params=lambda branches: branches,
-    init=lambda model, key, graph: model.init(key, graph),
-    loss=lambda model, params, key, graph: model.loss(params, key, graph),
-    complete=midi_oracle.complete,
-    target=lambda graph: graph,
-    top=CITY,
-)
-CLASSIFYING: Final = ONE_SHOT._replace(
-    statistics=Scales,
-    measure=lambda flagg, stacks: count_scales(stacks),
-    complete=edge_classifier.complete,
-    target=edge_classifier.target,
-    top=FLOOR,
-)
+def register_fill(
+    name: str,
+    config: type,
+    make_fill: Callable[[Any, Statistics, Ontology], Fill],
+    steps: str | None = None,
+) -> None:
+    """Makes a Fill model of your own a method that can be trained, stored and completed with.
 
-METHODS: Final[Mapping[str, MethodSpec]] = MappingProxyType(
-    {
-        "ec-square": MethodSpec(
-            ECSquareConfig, _alone(make_edge_classifier), CLASSIFYING, None, "s-f-square"
-        ),
-        "ec-l": MethodSpec(ECLConfig, _alone(make_edge_classifier), CLASSIFYING, None, "s-f"),
-        "midi-or": MethodSpec(
-            MiDiOracleConfig, _alone(make_midi_oracle), ONE_SHOT, "sampling_steps", "s-f"
-        ),
-        "fd4": MethodSpec(FD4Config, _around(make_fd4), GROWING, "topology_steps", "s-f"),
-        "midi": MethodSpec(MiDiConfig, _around(make_midi), GROWING, "sampling_steps", "s-f"),
-    }
-)
-_METHOD_OF: Final = {spec.config: name for name, spec in METHODS.items()}
-_KIND_OF: Final[Mapping[type, Kind]] = MappingProxyType(
-    {Flagg: GROWING, MiDiOracle: ONE_SHOT, EdgeClassifier: CLASSIFYING}
-)
+    Call it where the model is defined; whoever loads its weights must have run that file.
+
+    Args:
+      name: of the method, such as "nearest".
+      config: a frozen dataclass of numbers, all with defaults.
+      make_fill: (config, statistics, ontology) -> the Fill model, see `fill.protocol.Fill`.
+      steps: the field of the configuration that says how many diffusion steps a sample takes.
+
+    Raises:
+      ValueError: another method has this name.
+    """
+    known = METHODS.get(name)
+    if known is not None and known.config.__qualname__ != config.__qualname__:
+        raise ValueError(f"a method {name!r} is there already, expected another name")
+    METHODS[name] = _growing(config, make_fill, steps, home=None)
 
 
-def method_of(config: ModelConfig) -> str:
-    """Returns the name of the method that a configuration of a model is of."""
-    return _METHOD_OF[type(config)]
+def method_of(config: Any) -> str:
+    """Returns the name of the method that a configuration of a model is of.
+
+    Raises:
+      ValueError: no method has such a configuration.
+    """
+    for name, method in METHODS.items():
+        if method.config is type(config):
+            return name
+    raise ValueError(
+        f"{type(config).__name__} is the configuration of no method: register_fill makes it one"
+    )
 
 
-def measure(
-    config: ModelConfig, flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]
-) -> Measured:
+def measure(config: Any, flagg: FlaggConfig | None, stacks: Sequence[SceneGraph]) -> Measured:
     """Counts what a model must know of its training set.
 
     Args:
@@ -166,89 +160,42 @@ def measure(
       flagg: how it grows; None for a model that does not.
       stacks: of padded graphs with proximity edges.
     """
-    return METHODS[method_of(config)].kind.measure(flagg, stacks)
+    return METHODS[method_of(config)].measure(flagg, stacks)
 
 
-def build_model(config: ModelConfig, flagg: FlaggConfig | None, statistics: Measured) -> Model:
-    """Builds the functions of a model.
+def build_model(
+    config: Any, flagg: FlaggConfig | None, statistics: Measured, ontology: Ontology
+) -> Model:
+    """Builds a model; two that are built alike are equal and compile once.
 
     Args:
       config: of the model.
       flagg: how it grows; None for a model that does not.
       statistics: what `measure` counted.
+      ontology: the concepts.
     """
-    return METHODS[method_of(config)].make(config, flagg, statistics)
+    return METHODS[method_of(config)].make(config, flagg, statistics, ontology)
 
 
-def init(model: Model, key: Key[Array, ""], graph: SceneGraph) -> Params:
-    """Draws initial parameters; `graph` is any complete padded graph with proximity edges."""
-    return _KIND_OF[type(model)].init(model, key, graph)
-
-
-def loss(
-    model: Model, params: Params, key: Key[Array, ""], graph: SceneGraph
-) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-    """Returns the loss of a training step on one graph, and its terms.
+def params_of(config: Any, branches: dict[str, Any]) -> Params:
+    """Returns the parameters that a weights file holds as nested dictionaries.
 
     Args:
-      model: of any method.
-      params: its parameters.
-      key: of all that is drawn.
-      graph: complete, padded, with proximity edges.
+      config: of the model.
+      branches: a module without any parameters left no branch.
     """
-    return _KIND_OF[type(model)].loss(model, params, key, graph)
+    if not METHODS[method_of(config)].grows:
+        return branches
+    return step.Params(*(branches.get(module, {}) for module in step.Params._fields))
 
 
-def complete(
-    model: Model,
-    params: Params,
-    scenes: Sequence[SceneGraph],
-    seed: int = 0,
-    samples: int = 1,
-    candidates: int = 1,
-) -> list[list[Completion]]:
-    """Completes scene graphs from the planes of host graphs, in compiled batches.
-
-    Args:
-      model: of any method.
-      params: its parameters.
-      scenes: host graphs; everything but their planes is ignored, save that MiDi+Or counts the
-        nodes that they have above the planes.
-      seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
-      samples: graphs a scene.
-      candidates: graphs that are drawn for each of them; their medoid under FGW is kept.
-
-    Returns:
-      For every scene, in order, its samples.
-    """
-    drawn = _KIND_OF[type(model)].complete(model, params, scenes, seed, samples * candidates)
-    if candidates == 1:
-        return drawn
-    starts = range(0, samples * candidates, candidates)
-    groups = [of_scene[start : start + candidates] for of_scene in drawn for start in starts]
-    chosen = medoids([[one.graph for one in group] for group in groups])
-    kept = iter([group[index] for group, index in zip(groups, chosen, strict=True)])
-    return [[next(kept) for _ in starts] for _ in drawn]
-
-
-def target(model: Model, graph: SceneGraph) -> SceneGraph:
-    """Returns what of a true host graph a completed one is scored against."""
-    return _KIND_OF[type(model)].target(graph)
-
-
-def share_halted(completions: Sequence[Completion]) -> float | None:
-    """Returns the share of graphs that a growing model found complete; None for other models."""
-    reasons = [completion.halt_reason for completion in completions]
-    return None if "ONE_SHOT" in reasons else reasons.count("HALTED") / len(reasons)
-
-
-def sampling_steps(config: ModelConfig) -> int | None:
+def sampling_steps(config: Any) -> int | None:
     """Returns the diffusion steps of a sample of the topology; None where nothing is diffused."""
     field = METHODS[method_of(config)].steps
     return None if field is None else getattr(config, field)
 
 
-def with_sampling_steps(config: ModelConfig, steps: int) -> ModelConfig:
+def with_sampling_steps(config: Any, steps: int) -> Any:
     """Returns the configuration with another number of diffusion steps of a sample.
 
     Raises:

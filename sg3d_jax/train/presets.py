@@ -62,6 +62,8 @@ def find_config(name_or_path: str) -> Config:
     if own.is_file():
         return _read(own)
     home = METHODS[named.method].home
+    if home is None:
+        raise ValueError(f"{name_or_path}: {named.method} has no configuration, expected its file")
     config = _read(_folder() / f"{named.method}-{home}.py".replace("-", "_"))
     return dataclasses.replace(config, data=DataConfig(name=named.data))
 

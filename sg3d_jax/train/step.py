@@ -1,6 +1,5 @@
 """The training state and one pure training step, scanned several times a compiled call."""
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -9,10 +8,10 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Key
 
+from sg3d_jax.fill.protocol import Params
+from sg3d_jax.infer.lanes import Model, root_key
 from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.train import models
 from sg3d_jax.train.config import Config
-from sg3d_jax.train.methods import Model, Params
 
 
 class TrainState(NamedTuple):
@@ -42,8 +41,7 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
 
 def init_state(config: Config, model: Model, graph: SceneGraph) -> TrainState:
     """Draws the initial state from the run's seed; `graph` is any padded graph."""
-    init = jax.jit(functools.partial(models.init, model))  # compiled, it runs no forward pass
-    params = init(jax.random.key(config.seed), graph)
+    params = jax.jit(model.init)(root_key(config.seed), graph)  # compiled: no forward pass is run
     optimiser = make_optimiser(config).init(params)
     return TrainState(params, params, optimiser, jnp.zeros((), jnp.int32))
 
@@ -68,7 +66,7 @@ def make_train_call(config: Config, model: Model) -> TrainCall:
         params: Params, key: Key[Array, ""], graphs: SceneGraph
     ) -> tuple[Float[Array, ""], Metrics]:
         def one(key: Key[Array, ""], graph: SceneGraph) -> tuple[Float[Array, ""], Metrics]:
-            return models.loss(model, params, key, graph)
+            return model.loss(params, key, graph)
 
         keys = jax.random.split(key, graphs.n_node.shape[0])
         losses, terms = jax.vmap(one)(keys, graphs)

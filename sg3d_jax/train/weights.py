@@ -15,11 +15,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from sg3d_jax.fill.protocol import Params
+from sg3d_jax.infer.lanes import Model
 from sg3d_jax.io.files import replacing
 from sg3d_jax.train.config import Config, from_dict, to_json
-from sg3d_jax.train.methods import METHODS, Measured, Model, Params, build_model, with_sampling_steps
+from sg3d_jax.train.methods import (
+    METHODS,
+    Measured,
+    build_model,
+    params_of,
+    with_sampling_steps,
+)
+from sg3d_jax.train.upgrade import FORMAT_2, upgraded
 
-FORMAT = "sg3d_jax weights 2"
+FORMAT = "sg3d_jax weights 3"
 
 
 class Trained(NamedTuple):
@@ -100,7 +109,7 @@ def with_diffusion_steps(trained: Trained, steps: int) -> Trained:
     """
     model = with_sampling_steps(trained.config.model, steps)
     config = dataclasses.replace(trained.config, model=model)
-    built = build_model(model, config.flagg, trained.statistics)
+    built = build_model(model, config.flagg, trained.statistics, config.ontology)
     return trained._replace(model=built, config=config)
 
 
@@ -109,23 +118,34 @@ def _read(path: Path, name: str) -> Trained:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             arrays = {key: content[key] for key in content.files}
-        if str(arrays["format"]) != FORMAT:
+        about = json.loads(str(arrays["config"]))
+        if str(arrays["format"]) == FORMAT_2:
+            arrays, about = upgraded(arrays, about)
+        elif str(arrays["format"]) != FORMAT:
             raise ValueError
-        config = from_dict(json.loads(str(arrays["config"])))
-        kind = METHODS[config.method].kind
-        statistics = kind.statistics(**_nested(arrays, "statistics/"))
-        params = kind.params(_nested(arrays, "params/"))
+        config = from_dict(about)
+        statistics = _statistics(METHODS[config.method].statistics, arrays)
+        params = params_of(config.model, _nested(arrays, "params/"))
     except Exception as error:
-        raise ValueError(f"{path}: not a weights file of this version of sg3d_jax") from error
-    model = build_model(config.model, config.flagg, statistics)
+        foreign = isinstance(error, ValueError) and "unknown method" in str(error)
+        problem = str(error) if foreign else "not a weights file of this version of sg3d_jax"
+        raise ValueError(f"{path}: {problem}") from error
+    model = build_model(config.model, config.flagg, statistics, config.ontology)
     return Trained(model, params, config, statistics, name)
+
+
+def _statistics(kind: type[Measured], arrays: dict[str, np.ndarray]) -> Measured:
+    """Returns statistics as plain numbers."""
+    values = {field: arrays[f"statistics/{field}"].tolist() for field in kind._fields}
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
 
 def _flat(tree: Any, path: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yields the leaves of dictionaries and NamedTuples with their paths, separated by slashes."""
     branches = tree._asdict() if hasattr(tree, "_asdict") else tree
     if not isinstance(branches, dict):
-        yield path, np.asarray(branches)
+        plain = isinstance(branches, (float, tuple))  # statistics are float32 numbers
+        yield path, np.asarray(branches, np.float32 if plain else None)
         return
     for name, branch in branches.items():
         yield from _flat(branch, f"{path}/{name}")

@@ -1,7 +1,8 @@
 """Pictures of scene graphs, as in the paper: matplotlib, no display needed.
 
-Planes are blue segments; the other concepts are dots in their own colour, lifted apart in z so that
-the hierarchy can be read (the lift is drawn, it is not part of the graph).
+What is observed with normal and width is drawn as segments; every concept has dots in its own
+colour, lifted apart in z so that the hierarchy can be read (the lift is drawn, it is not part of
+the graph).
 
 Source: paper, Fig. 1 and the figure of qualitative results.
 Differs: a parallel projection, so that parallel walls stay parallel and every scene fills its frame
@@ -19,15 +20,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sg3d_jax.io.files import replacing
-from sg3d_jax.scene.ontology import CONCEPTS, PART_OF, PLANE
-from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.scene.graph import SceneGraph, ontology_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, Ontology
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,
-    STYLES,
+    are_segments,
     crowding,
     lifted,
     plane_segments,
     project,
+    styles_of,
     view_of,
 )
 
@@ -55,15 +57,16 @@ def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) 
     """
     if axes is None:
         axes = Figure(layout="constrained").add_subplot()
-    label = np.asarray(graph.nodes.label)
+    label, styles = np.asarray(graph.nodes.label), styles_of(ontology_of(graph))
     azimuth, scale = view_of(graph), scale * crowding(graph)
     nodes = project(lifted(graph), azimuth)
-    planes = project(plane_segments(graph), azimuth)
     edges = nodes[undirected_edges(graph, PART_OF)]
     _add_lines(axes, edges, EDGE_COLOUR, EDGE_WIDTH * scale, zorder=1)
-    _add_lines(axes, planes, STYLES[PLANE].colour, PLANE_WIDTH * scale, zorder=2)
+    for concept in np.flatnonzero(are_segments(ontology_of(graph))).tolist():
+        planes = project(plane_segments(graph, concept), azimuth)
+        _add_lines(axes, planes, styles[concept].colour, PLANE_WIDTH * scale, zorder=2)
     for concept in sorted(set(label.tolist())):
-        style, dots = STYLES[concept], nodes[label == concept].T
+        style, dots = styles[concept], nodes[label == concept].T
         drawn = axes.scatter(*dots, s=(style.size * scale) ** 2, c=style.colour)
         drawn.set(edgecolor="white", linewidth=0.7 * scale, zorder=3 + concept)
     axes.set(aspect="equal", xticks=[], yticks=[])
@@ -167,16 +170,20 @@ def _add_lines(axes: Axes, ends: np.ndarray, colour: str, width: float, zorder: 
 
 def _add_legend(figure: Figure, graphs: Sequence[SceneGraph]) -> None:
     """Adds one legend of the concepts that occur, in their order, below everything."""
-    present = {concept for graph in graphs for concept in np.unique(graph.nodes.label).tolist()}
-    handles = [_handle(concept) for concept in sorted(present)]
+    present = {
+        (label, ontology_of(graph).names[label]): _handle(ontology_of(graph), label)
+        for graph in graphs
+        for label in np.unique(graph.nodes.label).tolist()
+    }
+    handles = [present[key] for key in sorted(present)]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 
-def _handle(concept: int) -> Line2D:
-    style = STYLES[concept]
-    handle = Line2D([], [], color=style.colour, label=CONCEPTS[concept], linewidth=PLANE_WIDTH)
+def _handle(ontology: Ontology, concept: int) -> Line2D:
+    style, name = styles_of(ontology)[concept], ontology.names[concept]
+    handle = Line2D([], [], color=style.colour, label=name, linewidth=PLANE_WIDTH)
     handle.set(marker="o", markersize=style.size, markeredgewidth=0)
-    handle.set_linestyle("solid" if concept == PLANE else "none")
+    handle.set_linestyle("solid" if are_segments(ontology)[concept] else "none")
     return handle
 
 

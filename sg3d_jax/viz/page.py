@@ -15,16 +15,22 @@ from typing import Any, Final
 import numpy as np
 
 from sg3d_jax.io.files import replacing
-from sg3d_jax.scene.ontology import CONCEPTS, NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
-from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.scene.graph import (
+    SceneGraph,
+    ontology_of,
+    parts_first,
+    undirected_edges,
+)
+from sg3d_jax.scene.ontology import FEATURES, PART_OF, PROXIMITY
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,
-    STYLES,
+    are_segments,
     crowding,
     drawn_metre,
     lifted,
     plane_segments,
     project,
+    styles_of,
     view_of,
 )
 
@@ -40,6 +46,7 @@ DISTANCE: Final = 2.0  # of the camera, in sizes of the scene; without effect on
 MARGIN: Final = 0.5  # metres around a scene
 IDS_SHOWN: Final = 12
 DECIMALS: Final = 3  # of drawn coordinates, millimetres
+UNITS: Final = {"width": " m"}  # of features
 
 AXIS: Final = {
     "title": {"text": ""},
@@ -79,8 +86,8 @@ def save_page(
       names: of the graphs in the list, such as "truth" and "grown"; numbered by default.
 
     Raises:
-      ValueError: there is nothing to show, the names are too few or too many, or the file cannot be
-        written.
+      ValueError: there is nothing to show, the names are too few or too many, the graphs have
+        different ontologies, so that they share no layers, or the file cannot be written.
     """
     from plotly.offline import get_plotlyjs
 
@@ -90,6 +97,8 @@ def save_page(
         names = [f"graph {index}" for index in range(len(graphs))]
     if len(names) != len(graphs):
         raise ValueError(f"{path}: {len(names)} names for {len(graphs)} graphs, expected one each")
+    if any(ontology_of(graph) != ontology_of(graphs[0]) for graph in graphs):
+        raise ValueError(f"{path}: graphs have different ontologies, expected one a page")
     used = sorted(
         {concept for graph in graphs for concept in np.unique(graph.nodes.label).tolist()}
     )
@@ -115,21 +124,20 @@ def save_page(
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def graph_traces(
-    graph: SceneGraph, concepts: Sequence[int] = range(NUM_CONCEPTS)
-) -> list[dict[str, Any]]:
+def graph_traces(graph: SceneGraph, concepts: Sequence[int] | None = None) -> list[dict[str, Any]]:
     """Returns the plotly traces of a host graph: its edges, planes, then nodes.
 
     Args:
       graph: unpadded, metres.
-      concepts: what gets a layer. A page gives all its graphs the same layers, empty or not, so
-        that a hidden layer stays hidden when another graph is chosen.
+      concepts: what gets a layer; None for all. A page gives all its graphs the same layers, empty
+        or not, so that a hidden layer stays hidden when another graph is chosen.
 
     Returns:
       Traces whose `customdata` is the node that each point stands for; the page looks its text up,
       so that a text is stored once.
     """
     points, label = lifted(graph), np.asarray(graph.nodes.label)
+    concepts = range(ontology_of(graph).num_concepts) if concepts is None else concepts
     rows = [(concept, np.flatnonzero(label == concept)) for concept in concepts]
     scale, thin = DOT_SCALE * crowding(graph), LINE_WIDTH * crowding(graph)
     part_of, proximity = (points[undirected_edges(graph, r)] for r in (PART_OF, PROXIMITY))
@@ -139,36 +147,39 @@ def graph_traces(
         ),
         _lines("part of", part_of, EDGE_COLOUR, thin, legendrank=1001),
         *_planes(graph),
-        *(_dots(concept, points[chosen], chosen, scale) for concept, chosen in rows),
+        *(_dots(graph, concept, points[chosen], chosen, scale) for concept, chosen in rows),
     ]
 
 
 def hover_text(graph: SceneGraph) -> list[str]:
     """Returns what a page says about each node of a host graph, in plotly's few HTML tags."""
-    label = np.asarray(graph.nodes.label)
+    label, ontology = np.asarray(graph.nodes.label).tolist(), ontology_of(graph)
     children: list[list[int]] = [[] for _ in label]
     parents: list[list[int]] = [[] for _ in label]
-    for pair in undirected_edges(graph, PART_OF):
-        child, parent = pair[np.argsort(label[pair], kind="stable")].tolist()
+    for child, parent in parts_first(graph).tolist():
         children[parent].append(child)
         parents[child].append(parent)
+    names = [f"{_escaped(ontology.names[concept])} {row}" for row, concept in enumerate(label)]
+    numbers_first = sorted(FEATURES, key=lambda name: len(FEATURES[name]))
     texts = []
-    for row, concept in enumerate(label.tolist()):
-        position, normal, width = (np.asarray(field)[row] for field in graph.nodes[1:4])
-        lines = [f"<b>{CONCEPTS[concept]} {row}</b>", f"centroid {_vector(position)} m"]
-        if concept == PLANE:
-            lines += [f"width {width:.2f} m", f"normal {_vector(normal)}"]
+    for row, concept in enumerate(label):
+        lines = [f"<b>{names[row]}</b>", f"centroid {_vector(graph.nodes.position[row])} m"]
+        for feature in numbers_first:
+            if feature in ontology.concepts[concept].features:
+                value = np.asarray(getattr(graph.nodes, feature)[row])
+                shown = _vector(value) if value.ndim else f"{value:.2f}"
+                lines.append(f"{feature} {shown}{UNITS.get(feature, '')}")
         number = "1 child" if len(children[row]) == 1 else f"{len(children[row])} children"
-        lines += _kin("part of", parents[row], label) + _kin(f"{number}:", children[row], label)
+        lines += _kin("part of", parents[row], names) + _kin(f"{number}:", children[row], names)
         texts.append("<br>".join(lines))
     return texts
 
 
-def _kin(heading: str, rows: Sequence[int], label: np.ndarray) -> list[str]:
+def _kin(heading: str, rows: Sequence[int], names: Sequence[str]) -> list[str]:
     """Returns a line that names other nodes, or none."""
     if not rows:
         return []
-    named = [f"{CONCEPTS[label[row]]} {row}" for row in sorted(rows)[:IDS_SHOWN]]
+    named = [names[row] for row in sorted(rows)[:IDS_SHOWN]]
     more = [f"{len(rows) - IDS_SHOWN} more"] if len(rows) > IDS_SHOWN else []
     return [f"{heading} {', '.join(named + more)}"]
 
@@ -177,30 +188,43 @@ def _vector(values: np.ndarray) -> str:
     return "(" + ", ".join(f"{value + 0.0:.2f}" for value in np.round(values, 2)) + ")"
 
 
+def _escaped(name: str) -> str:
+    """Returns a name from a file as text: plotly takes some tags for markup."""
+    return html.escape(name, quote=False)
+
+
 def _counts(graph: SceneGraph) -> str:
-    counts = np.bincount(graph.nodes.label, minlength=NUM_CONCEPTS).tolist()
-    named = zip(counts, CONCEPTS, strict=True)
+    names = ontology_of(graph).names
+    counts = np.bincount(graph.nodes.label, minlength=len(names)).tolist()
+    named = zip(counts, names, strict=True)
     return " · ".join(f"{name} {count}" for count, name in named if count)
 
 
 def _planes(graph: SceneGraph) -> list[dict[str, Any]]:
-    """Returns the strips of the planes, and a line along each with its normal."""
-    ends, metre = plane_segments(graph), drawn_metre(graph)
+    """Returns the strips of the planes, and a line along each with its normal, by concept."""
+    concepts = np.flatnonzero(are_segments(ontology_of(graph))).tolist()
+    return [trace for concept in concepts for trace in _planes_of(graph, concept, concepts[0])]
+
+
+def _planes_of(graph: SceneGraph, concept: int, first: int) -> list[dict[str, Any]]:
+    name = _escaped(ontology_of(graph).names[concept])
+    colour = styles_of(ontology_of(graph))[concept].colour
+    ends, metre = plane_segments(graph, concept), drawn_metre(graph)
     middle = ends.mean(axis=1)
-    rows = np.flatnonzero(np.asarray(graph.nodes.label) == PLANE)
+    rows = np.flatnonzero(np.asarray(graph.nodes.label) == concept)
     normal = np.asarray(graph.nodes.normal)[rows]
     normals = np.stack([middle, middle + NORMAL_LENGTH * metre * normal], axis=1)
     up = np.array([[[0.0, 0.0, STRIP_HEIGHT * metre / 2]]])
     corners = np.concatenate([ends - up, ends + up], axis=1).reshape(-1, 3)
-    first = 4 * np.arange(len(ends))[:, None]
-    triangles = np.concatenate([first + np.array([[0, 1, 2]]), first + np.array([[1, 3, 2]])])
+    corner = 4 * np.arange(len(ends))[:, None]
+    triangles = np.concatenate([corner + np.array([[0, 1, 2]]), corner + np.array([[1, 3, 2]])])
     strips = {
         "type": "mesh3d",
-        "uid": "strips",
-        "legendgroup": CONCEPTS[PLANE],
+        "uid": "strips" if concept == first else f"{name} strips",
+        "legendgroup": name,
         **_coordinates(corners),
         **dict(zip("ijk", triangles.T.tolist(), strict=True)),
-        "color": STYLES[PLANE].colour,
+        "color": colour,
         "opacity": STRIP_OPACITY,
         "flatshading": True,
         "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0},
@@ -208,11 +232,11 @@ def _planes(graph: SceneGraph) -> list[dict[str, Any]]:
         "customdata": np.repeat(rows, 4).tolist(),
     }
     lines = _lines(
-        "plane lines",
+        f"{name} lines",
         np.concatenate([ends, normals]),
-        STYLES[PLANE].colour,
+        colour,
         LINE_WIDTH,
-        legendgroup=CONCEPTS[PLANE],
+        legendgroup=name,
         showlegend=False,
         hoverinfo="text",
         customdata=np.tile(np.repeat(rows, 3), 2).tolist(),
@@ -220,13 +244,15 @@ def _planes(graph: SceneGraph) -> list[dict[str, Any]]:
     return [strips, lines]
 
 
-def _dots(concept: int, points: np.ndarray, rows: np.ndarray, scale: float) -> dict[str, Any]:
-    style = STYLES[concept]
+def _dots(
+    graph: SceneGraph, concept: int, points: np.ndarray, rows: np.ndarray, scale: float
+) -> dict[str, Any]:
+    style, name = styles_of(ontology_of(graph))[concept], ontology_of(graph).names[concept]
     return {
         "type": "scatter3d",
-        "uid": CONCEPTS[concept],
-        "legendgroup": CONCEPTS[concept],
-        "name": CONCEPTS[concept],
+        "uid": _escaped(name),
+        "legendgroup": _escaped(name),
+        "name": _escaped(name),
         "mode": "markers",
         **_coordinates(points),
         "marker": {

@@ -2,23 +2,19 @@
 
 The concepts are lifted apart in z so that the hierarchy can be read, and the storeys of a building
 are pulled apart so that each can be seen. Both are drawn; neither is part of the graph.
+
+Which concept is which is read from the ontology: a "floor" is the uppermost that does not stand
+above its parts, a "building" whatever floors are part of, a "plane" what is observed with normal
+and width.
 """
 
+import functools
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.ontology import (
-    BUILDING,
-    CITY,
-    CONCEPTS,
-    FLOOR,
-    PART_OF,
-    PLANE,
-    ROOM,
-    WALL,
-)
-from sg3d_jax.scene.graph import SceneGraph, undirected_edges
+from sg3d_jax.scene.graph import SceneGraph, ontology_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, Ontology
 
 
 class Style(NamedTuple):
@@ -29,14 +25,8 @@ class Style(NamedTuple):
     size: float  # diameter of the dot, points
 
 
-STYLES: Final = {
-    PLANE: Style("#1d4ed8", 0.0, 4.0),
-    WALL: Style("#f59e0b", 1.0, 5.0),
-    ROOM: Style("#dc2626", 2.0, 7.0),
-    FLOOR: Style("#16a34a", 3.0, 9.0),
-    BUILDING: Style("#06b6d4", 4.0, 11.0),
-    CITY: Style("#111111", 5.0, 12.0),
-}
+OBSERVED_SIZE: Final = 4.0  # points
+LEAST_SIZE, SIZE_STEP, GREATEST_SIZE = 5.0, 2.0, 12.0  # points, of the others from the lowest up
 EDGE_COLOUR: Final = "#8b919c"
 ELEVATION, AZIMUTH = np.radians([32.0, -62.0])  # the camera; nearly that of the paper's pictures
 CROWDED: Final = 60  # nodes; dots of larger graphs are smaller
@@ -45,10 +35,27 @@ LARGE_FLOOR: Final = 25.0  # metres; the lifts of larger floors grow with them
 SAME_STOREY: Final = 1.0  # metres; floors closer in z lie side by side
 
 
+@functools.lru_cache
+def styles_of(ontology: Ontology) -> tuple[Style, ...]:
+    """Returns how each concept is drawn; what is not observed is higher and larger, one by one."""
+    places = np.cumsum(~ontology.is_observed) - 1
+    return tuple(
+        Style(concept.colour, 0.0, OBSERVED_SIZE)
+        if concept.observed
+        else Style(concept.colour, 1.0 + place, min(GREATEST_SIZE, LEAST_SIZE + SIZE_STEP * place))
+        for concept, place in zip(ontology.concepts, places.tolist(), strict=True)
+    )
+
+
+def are_segments(ontology: Ontology) -> np.ndarray:
+    """Returns bool[C], the concepts whose nodes are drawn as segments, and not as dots alone."""
+    return ontology.is_observed & ontology.has("normal") & ontology.has("width")
+
+
 def lifted(graph: SceneGraph) -> np.ndarray:
     """Returns where the nodes of a host graph are drawn, float64[n, 3], metres."""
     label, length = np.asarray(graph.nodes.label), _largest_floor(graph)
-    lifts = np.array([STYLES[concept].lift for concept in range(len(CONCEPTS))])
+    lifts = np.array([style.lift for style in styles_of(ontology_of(graph))])
     points = np.array(graph.nodes.position, np.float64)
     points[:, 2] += lifts[label] * drawn_metre(graph)
     points[:, 2] += _storey(graph) * length * STOREY_GAP
@@ -60,10 +67,17 @@ def drawn_metre(graph: SceneGraph) -> float:
     return max(1.0, _largest_floor(graph) / LARGE_FLOOR)
 
 
-def plane_segments(graph: SceneGraph) -> np.ndarray:
-    """Returns the two ends of every plane of a host graph as drawn, float64[planes, 2, 3]."""
-    chosen = np.asarray(graph.nodes.label) == PLANE
-    normal, width = (np.asarray(field)[chosen] for field in graph.nodes[2:4])
+def plane_segments(graph: SceneGraph, concept: int | None = None) -> np.ndarray:
+    """Returns the two ends of the planes of a host graph as drawn, float64[planes, 2, 3].
+
+    Args:
+      graph: unpadded, metres.
+      concept: the label of those that are wanted; None for all.
+    """
+    label = np.asarray(graph.nodes.label)
+    chosen = are_segments(ontology_of(graph))[label]
+    chosen &= True if concept is None else label == concept
+    normal, width = graph.nodes.normal[chosen], graph.nodes.width[chosen]
     along = np.cross(np.array([0.0, 0.0, 1.0]), normal)
     half = along * width[:, None] / 2
     middle = lifted(graph)[chosen]
@@ -72,7 +86,9 @@ def plane_segments(graph: SceneGraph) -> np.ndarray:
 
 def view_of(graph: SceneGraph) -> float:
     """Returns the azimuth from which a host graph is seen, radians: its buildings side by side."""
-    buildings = np.asarray(graph.nodes.position)[np.asarray(graph.nodes.label) == BUILDING]
+    ontology = ontology_of(graph)
+    are_buildings = ontology.may_be_part[floor_concept(ontology)][np.asarray(graph.nodes.label)]
+    buildings = np.asarray(graph.nodes.position)[are_buildings]
     if len(buildings) < 2:
         return float(AZIMUTH)
     turns = np.radians(np.arange(-90.0, 90.0))
@@ -93,6 +109,15 @@ def crowding(graph: SceneGraph) -> float:
     return min(1.0, float(CROWDED / len(graph.nodes.label)) ** 0.4)
 
 
+def floor_concept(ontology: Ontology) -> int:
+    """Returns the uppermost concept that does not stand above its parts; -1, no label, if all do.
+
+    The last row of a table of concepts, at -1, is that of the uppermost, which is part of nothing.
+    """
+    amid = np.flatnonzero(~ontology.is_observed & ~ontology.is_above)
+    return int(amid[-1]) if len(amid) else -1
+
+
 def floor_of(graph: SceneGraph) -> np.ndarray:
     """Returns the floor that each node of a host graph is drawn on.
 
@@ -100,46 +125,69 @@ def floor_of(graph: SceneGraph) -> np.ndarray:
       graph: unpadded. It may break the hierarchy: what hangs on no floor is drawn on the nearest.
 
     Returns:
-      int64[n], the row of a floor; -1 for buildings and cities, and where there is no floor.
+      int64[n], the row of a floor; -1 for what is above floors, and where there is no floor.
     """
     label, position = np.asarray(graph.nodes.label), np.asarray(graph.nodes.position)
-    floors = np.flatnonzero(label == FLOOR)
+    concept = floor_concept(ontology_of(graph))
+    floors = np.flatnonzero(label == concept)
     found = np.full(len(label), -1)
     if not len(floors):
         return found
     found[floors] = floors
-    for upper, lower in ((FLOOR, ROOM), (ROOM, PLANE), (PLANE, WALL)):
-        above, below = _pairs(graph, upper, lower)
-        found[below] = found[above]
-    lost = np.flatnonzero((found < 0) & (label < FLOOR))
+    for known, reached in _spreading(ontology_of(graph), concept):
+        there, here = _pairs(graph, known, reached)
+        found[here] = found[there]
+    lost = np.flatnonzero((found < 0) & (label < concept))
     # Storeys lie above one another: a metre in z says more than several in x and y.
     apart = (position[lost, None] - position[None, floors]) * np.array([[[1.0, 1.0, 10.0]]])
     found[lost] = floors[np.argmin(np.linalg.norm(apart, axis=-1), axis=-1)]
     return found
 
 
+@functools.lru_cache
+def _spreading(ontology: Ontology, floor: int) -> tuple[tuple[int, int], ...]:
+    """Returns along which part-of edges floors spread: pairs of labels, from the known to the next.
+
+    First down, from wholes to parts; then up, to what is part of no floor but has parts that are.
+    """
+    reached, steps = {floor}, []
+    for label in reversed(range(floor)):
+        wholes = reached & {*np.flatnonzero(ontology.may_be_part[label]).tolist()}
+        steps += [(whole, label) for whole in sorted(wholes)]
+        reached |= {label} if wholes else set()
+    for label in range(floor):
+        if label not in reached:
+            parts = reached & {*np.flatnonzero(ontology.may_be_part[:, label]).tolist()}
+            steps += [(part, label) for part in sorted(parts)]
+            reached |= {label} if parts else set()
+    return tuple(steps)
+
+
 def _storey(graph: SceneGraph) -> np.ndarray:
-    """Returns the storey of each node, int[n]; buildings and cities have that of their top."""
+    """Returns the storey of each node, int[n]; what is above floors has that of its top."""
     label, height = np.asarray(graph.nodes.label), np.asarray(graph.nodes.position)[:, 2]
+    ontology, concept = ontology_of(graph), floor_concept(ontology_of(graph))
     floor, parent = floor_of(graph), np.full(len(label), -1)
-    buildings, children = _pairs(graph, BUILDING, FLOOR)
-    parent[children] = buildings
-    floors = np.flatnonzero(label == FLOOR)
+    for upper in np.flatnonzero(ontology.may_be_part[concept]).tolist():
+        buildings, children = _pairs(graph, upper, concept)
+        parent[children] = buildings
+    floors = np.flatnonzero(label == concept)
     lower = height[floors, None] - height[None, floors] > SAME_STOREY
     beside = parent[floors, None] == parent[None, floors]
     storey = np.zeros(len(label), np.int64)
     storey[floors] = np.sum(lower & beside, axis=1)
     storey = np.where(floor >= 0, storey[floor], 0)
-    np.maximum.at(storey, buildings, storey[children])
-    cities, buildings = _pairs(graph, CITY, BUILDING)
-    np.maximum.at(storey, cities, storey[buildings])
+    for part, whole in np.argwhere(ontology.may_be_part).tolist():  # bottom-up
+        if part >= concept:
+            wholes, parts = _pairs(graph, whole, part)
+            np.maximum.at(storey, wholes, storey[parts])
     return storey
 
 
 def _largest_floor(graph: SceneGraph) -> float:
-    """Returns the longest extent in x or y of the planes of a floor, metres; 0 without floors."""
-    planes = np.asarray(graph.nodes.label) == PLANE
-    points, floor = np.asarray(graph.nodes.position)[planes, :2], floor_of(graph)[planes]
+    """Returns the longest extent in x or y of what is observed of a floor, metres; else 0."""
+    observed = np.asarray(graph.nodes.observed)
+    points, floor = np.asarray(graph.nodes.position)[observed, :2], floor_of(graph)[observed]
     extents = [np.ptp(points[floor == row], axis=0).max() for row in np.unique(floor[floor >= 0])]
     return float(max(extents, default=0.0))
 

@@ -17,8 +17,8 @@ from sg3d_jax.data.buildings import (
     place,
     turn,
 )
-from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PART_OF, PROXIMITY
 from sg3d_jax.scene.graph import undirected_edges
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PART_OF, PROXIMITY
 from sg3d_jax.scene.validate import validate_graph
 
 seeds = st.integers(0, 2**32)

@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from sg3d_jax.data import registry, schema
-from sg3d_jax.io.formats import write_graphs
+from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
-from sg3d_jax.scene.ontology import CONCEPTS
+from sg3d_jax.io import npz
+from sg3d_jax.io.formats import write_graphs
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.scene.validate import validate_graph
 
 GENERATED = [name for name, spec in registry.DATASETS.items() if spec.config is not None]
@@ -24,7 +25,7 @@ def test_the_nine_data_sets_of_the_paper_are_there():
 def test_every_generated_data_set_is_sound_and_has_its_levels(name):
     for graph in registry.make(name, num_graphs=3):
         validate_graph(graph, name)
-        held = {CONCEPTS[label] for label in graph.nodes.label}
+        held = {PAPER_ONTOLOGY.names[label] for label in graph.nodes.label}
         assert held <= {*registry.get(name).levels}
         assert registry.get(name).levels[-1] in held
 
@@ -64,7 +65,7 @@ def test_a_set_that_is_made_from_a_file_says_how(name):
 
 def test_a_path_is_read_from_its_file(tmp_path):
     graphs = registry.make("s-f", num_graphs=2, seed=7)
-    schema.save(tmp_path / "scenes.npz", graphs, registry.header("s-f", seed=7))
+    npz.save(tmp_path / "scenes.npz", graphs, registry.header("s-f", seed=7))
     write_graphs(tmp_path / "scenes.jsonl", graphs)
     for name in ("scenes.npz", "scenes.jsonl"):
         loaded = registry.load(tmp_path / name).graphs
@@ -92,7 +93,7 @@ def test_a_set_for_test_only_is_split_so(tmp_path):
 
 def test_the_first_graphs_of_a_file_keep_their_parts(tmp_path):
     parts = ["test", "train", "validation"]
-    schema.save(tmp_path / "a.npz", registry.make("s-f", 3), {"parts": parts, "origins": [*"abc"]})
+    npz.save(tmp_path / "a.npz", registry.make("s-f", 3), {"parts": parts, "origins": [*"abc"]})
     graphs, header = registry.load(tmp_path / "a.npz", num_graphs=2)
     assert len(graphs) == 2
     assert (header["parts"], header["origins"]) == (parts[:2], ["a", "b"])

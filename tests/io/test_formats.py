@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from sg3d_jax.data import registry
 from sg3d_jax.io.formats import FORMATS, read_graphs, read_planes, write_graphs
 from sg3d_jax.io.s_graphs import planes_to_message
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 from sg3d_jax.scene.graph import observed_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 from sg3d_jax.scene.validate import validate_graph
 
 NUM_GRAPHS = 60  # benchmarks/round_trips.py takes 500

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from sg3d_jax.data import registry
 from sg3d_jax.io.graphml import read_graphml, write_graphml
 from sg3d_jax.io.networkx import to_networkx
-from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.validate import validate_graph
 
 

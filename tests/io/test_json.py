@@ -7,8 +7,8 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.io.json import graph_from_dict, graph_to_dict
-from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.validate import validate_graph
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"

@@ -14,8 +14,8 @@ from sg3d_jax.io.networkx import (
     graph_to_node_link,
     to_networkx,
 )
-from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.validate import validate_graph
 
 

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sg3d_jax.data import registry, schema
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.data import registry
+from sg3d_jax.io import npz
+from sg3d_jax.scene.graph import SceneGraph, features_of, make_graph, undirected_edges
+from sg3d_jax.scene.ontology import FEATURES, PART_OF, PROXIMITY
 
 GRAPHS = registry.make("s-f", num_graphs=3)
 HEADER = registry.header("s-f")
@@ -18,7 +19,7 @@ HEADER = registry.header("s-f")
 
 @pytest.fixture
 def path(tmp_path):
-    schema.save(tmp_path / "scenes.npz", GRAPHS, HEADER)
+    npz.save(tmp_path / "scenes.npz", GRAPHS, HEADER)
     return tmp_path / "scenes.npz"
 
 
@@ -30,7 +31,7 @@ def contents(path) -> dict[str, np.ndarray]:
 def refusal(path) -> str:
     """Returns the sentence with which a file is refused."""
     with pytest.raises(ValueError, match=path.name) as caught:
-        schema.load(path)
+        npz.load(path)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -48,7 +49,7 @@ def assert_same(one: SceneGraph, other: SceneGraph) -> None:
 
 
 def test_graphs_and_header_come_back_exactly(path):
-    graphs, header = schema.load(path)
+    graphs, header = npz.load(path)
     assert len(graphs) == len(GRAPHS)
     for loaded, graph in zip(graphs, GRAPHS, strict=True):
         assert_same(loaded, graph)
@@ -57,20 +58,21 @@ def test_graphs_and_header_come_back_exactly(path):
 
 def test_proximity_edges_come_back(tmp_path):
     graph = GRAPHS[0]
-    fields = graph.nodes[:4]
-    linked = make_graph(*fields, undirected_edges(graph, PART_OF), proximity=[(0, 1), (2, 0)])
-    schema.save(tmp_path / "linked.npz", [linked], {})
-    assert_same(schema.load(tmp_path / "linked.npz")[0][0], linked)
+    nodes = graph.nodes.label, graph.nodes.position
+    edges = {"part_of": undirected_edges(graph, PART_OF), "proximity": [(0, 1), (2, 0)]}
+    linked = make_graph(*nodes, **features_of(graph), **edges)
+    npz.save(tmp_path / "linked.npz", [linked], {})
+    assert_same(npz.load(tmp_path / "linked.npz")[0][0], linked)
 
 
 def test_no_graphs_are_a_sound_file(tmp_path):
-    schema.save(tmp_path / "empty.npz", [], {})
-    assert schema.load(tmp_path / "empty.npz")[0] == []
+    npz.save(tmp_path / "empty.npz", [], {})
+    assert npz.load(tmp_path / "empty.npz")[0] == []
 
 
 def test_the_same_graphs_give_the_same_bytes(path, tmp_path):
-    graphs, header = schema.load(path)
-    schema.save(tmp_path / "again.npz", graphs, header)
+    graphs, header = npz.load(path)
+    npz.save(tmp_path / "again.npz", graphs, header)
     assert (tmp_path / "again.npz").read_bytes() == path.read_bytes()
 
 
@@ -86,14 +88,14 @@ def test_an_unsound_graph_is_not_written(path):
     nodes = GRAPHS[0].nodes
     broken = GRAPHS[0]._replace(nodes=nodes._replace(width=np.full_like(nodes.width, np.nan)))
     with pytest.raises(ValueError, match=r"scenes\.npz: graph 1: .*width"):
-        schema.save(path, [GRAPHS[0], broken], HEADER)
+        npz.save(path, [GRAPHS[0], broken], HEADER)
     assert path.read_bytes() == before
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_draft(path):
     before = path.read_bytes()
     with pytest.raises(TypeError):
-        schema.save(path, GRAPHS, {"seed": object()})
+        npz.save(path, GRAPHS, {"seed": object()})
     assert os.listdir(path.parent) == [path.name]
     assert path.read_bytes() == before
 
@@ -105,7 +107,7 @@ def change(name, value):
     """Returns a function that puts a value into the second graph's part of an array."""
 
     def apply(arrays):
-        offset = arrays["edge_offset" if name in schema.EDGE_FIELDS else "node_offset"]
+        offset = arrays["edge_offset" if name in npz.EDGE_FIELDS else "node_offset"]
         arrays[name][offset[1]] = value
 
     return apply
@@ -135,7 +137,7 @@ def test_a_wrong_value_is_refused_with_file_graph_and_field(path, damage, field)
     assert field in refusal(path)
 
 
-@pytest.mark.parametrize("name", ["header", *schema.FIELDS])
+@pytest.mark.parametrize("name", sorted({"header", *npz.FIELDS} - {*FEATURES}))
 def test_a_missing_array_is_refused_by_name(path, name):
     arrays = contents(path)
     del arrays[name]
@@ -143,7 +145,22 @@ def test_a_missing_array_is_refused_by_name(path, name):
     assert f"{name} is missing" in refusal(path)
 
 
-@pytest.mark.parametrize("name", schema.FIELDS)
+def test_a_feature_that_a_file_lacks_is_zero(path):
+    arrays = contents(path)
+    del arrays["width"]
+    np.savez(path, **arrays)
+    for graph in npz.load(path).graphs:
+        assert not graph.nodes.width.any()
+
+
+def test_a_feature_that_a_file_must_not_lack_is_refused(path):
+    arrays = contents(path)
+    del arrays["normal"]
+    np.savez(path, **arrays)
+    assert "graph 0: nodes[0].normal is [0, 0, 0], expected length 1" in refusal(path)
+
+
+@pytest.mark.parametrize("name", npz.FIELDS)
 @pytest.mark.parametrize(
     "damage",
     [
@@ -190,11 +207,11 @@ def test_pickled_arrays_are_refused(path):
 
 def test_generated_graphs_may_break_the_hierarchy_if_asked(tmp_path):
     nodes = GRAPHS[0].nodes
-    odd = make_graph(*nodes[:4], part_of=[(0, 1)])
+    odd = make_graph(nodes.label, nodes.position, **features_of(GRAPHS[0]), part_of=[(0, 1)])
     with pytest.raises(ValueError, match="graph 0"):
-        schema.save(tmp_path / "odd.npz", [odd], {})
-    schema.save(tmp_path / "odd.npz", [odd], {}, rules=False)
-    assert_same(schema.load(tmp_path / "odd.npz", rules=False)[0][0], odd)
+        npz.save(tmp_path / "odd.npz", [odd], {})
+    npz.save(tmp_path / "odd.npz", [odd], {}, rules=False)
+    assert_same(npz.load(tmp_path / "odd.npz", rules=False)[0][0], odd)
 
 
 files = settings(
@@ -225,7 +242,7 @@ def test_a_flipped_byte_is_refused_or_harmless(path, data):
     whole[data.draw(st.integers(0, len(whole) - 1))] ^= data.draw(st.integers(1, 255))
     path.with_name("flipped.npz").write_bytes(whole)
     try:
-        graphs, _ = schema.load(path.with_name("flipped.npz"))
+        graphs, _ = npz.load(path.with_name("flipped.npz"))
     except ValueError as error:
         assert str(error).startswith(str(path.with_name("flipped.npz")))  # noqa: PT017
     else:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sg3d_jax.io.formats import read_planes
 from sg3d_jax.io.planes import COLUMNS, planes_from_dict, planes_to_dict, write_planes
 from sg3d_jax.scene.ontology import PLANE
-from sg3d_jax.scene.validate import validate_graph, validate_planes
+from sg3d_jax.scene.validate import checked_observed, validate_graph
 
 ROWS = (
     (0.1, 1 / 3, 2.7, 0.0, -1.0, 0.0, 4.000000000000001),
@@ -25,8 +25,7 @@ CSV = "\n".join([",".join(COLUMNS), *(",".join(map(repr, row)) for row in ROWS)]
 
 
 def table(graph):
-    position, normal, width = graph.nodes[1:4]
-    return np.column_stack([position, normal, width])
+    return np.column_stack([graph.nodes.position, graph.nodes.normal, graph.nodes.width])
 
 
 def write(folder, name, content):
@@ -220,7 +219,7 @@ def assert_refused_or_sound(path):
     assert message is None or message.startswith(str(path))
     assert message is None or "\n" not in message
     for graph in graphs:
-        validate_planes(*graph.nodes[1:4], "planes")
+        checked_observed(graph, "planes")
 
 
 def read_or_refuse(path):

@@ -14,22 +14,23 @@ from hypothesis import strategies as st
 
 from sg3d_jax.data import registry
 from sg3d_jax.io.published import read_published
-from sg3d_jax.scene.ontology import CONCEPTS, FLOOR, PART_OF, PLANE, PROXIMITY
-from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.graph import features_of, make_graph, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PART_OF, PLANE, PROXIMITY
 from sg3d_jax.scene.validate import validate_graph
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
-TYPES = ("ws", *CONCEPTS[1:])
+TYPES = ("ws", *PAPER_ONTOLOGY.names[1:])
 
 
 def published(graph, seed=0, ids=None):
     """Returns a graph of ours as the authors have theirs: in another order, with all its traps."""
     rng = np.random.default_rng(seed)
-    label, position, normal, width, _ = graph.nodes
+    label, position = graph.nodes.label, graph.nodes.position
+    normal, width = graph.nodes.normal, graph.nodes.width
     ids = ids or [2 * row + 5 for row in range(len(label))]
     theirs = networkx.Graph()
-    for row in np.argsort(rng.permutation(len(CONCEPTS))[label], kind="stable"):
+    for row in np.argsort(rng.permutation(PAPER_ONTOLOGY.num_concepts)[label], kind="stable"):
         centre = position[row].copy()
         attributes = {
             "type": TYPES[label[row]],
@@ -101,13 +102,15 @@ def test_graphs_are_read_bit_for_bit_in_every_protocol(graphs, protocol, core, p
         pickled = pickled.replace(b"numpy._core.", core)
     path.write_bytes(pickled)
     part_of = undirected_edges(graphs[0], PART_OF)
-    expected = make_graph(*graphs[0].nodes[:4], part_of=part_of, proximity=[[0, 1]])
+    nodes = graphs[0].nodes.label, graphs[0].nodes.position
+    edges = {"part_of": part_of, "proximity": [[0, 1]]}
+    expected = make_graph(*nodes, **features_of(graphs[0]), **edges)
     for read in read_published(path):
         assert_same_graph(read, expected)
 
 
 def test_nodes_are_put_in_order_of_concepts_and_else_stay_as_they_were(graphs, path):
-    assert set(graphs[1].nodes.label.tolist()) == set(range(len(CONCEPTS)))
+    assert set(graphs[1].nodes.label.tolist()) == set(range(PAPER_ONTOLOGY.num_concepts))
     path.write_bytes(pickle.dumps([published(graphs[1], seed) for seed in range(2)]))
     for read in read_published(path):
         assert_same_graph(read, graphs[1])
@@ -367,10 +370,10 @@ BROKEN = [
     ("ws", {"length": "2"}, "length is '2', expected a number"),
     ("ws", {"length": -1.0}, ".width is -1, expected zero metres or more"),
     ("ws", {"length": np.nan}, ".width is nan, expected finite numbers"),
-    ("ws", {"normal": np.ones(3)}, "expected length 1, as of a plane"),
+    ("ws", {"normal": np.ones(3)}, ".normal is [1, 1, 1], expected length 1"),
     ("room", {"center": [0.0, np.inf, 0.0]}, ".position is [0, inf, 0], expected finite"),
     ("floor", {"type": "ws"}, "lacks 'length'"),
-    ("floor", {"type": "wall"}, "joins wall and room, expected two planes, or a child"),
+    ("floor", {"type": "wall"}, "joins wall and room, expected two that are observed, or a part"),
 ]
 
 

@@ -18,9 +18,9 @@ from sg3d_jax.io.s_graphs import (
     planes_from_message,
     planes_to_message,
 )
-from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph, observed_of, undirected_edges
-from sg3d_jax.scene.validate import validate_graph, validate_planes
+from sg3d_jax.scene.ontology import BUILDING, FEATURES, FLOOR, PART_OF, PLANE, ROOM, WALL
+from sg3d_jax.scene.validate import checked_observed, validate_graph
 from tests.io.documents import places_of
 
 # A flat of two rooms as a robot reports it: ids of vertices, points denser near the robot, normals
@@ -34,7 +34,8 @@ def scene(index=0):
 
 def assert_close(left, right):
     npt.assert_array_equal(left.nodes.label, right.nodes.label)
-    for one, other in zip(left.nodes[1:4], right.nodes[1:4], strict=True):
+    for name in ("position", *FEATURES):
+        one, other = getattr(left.nodes, name), getattr(right.nodes, name)
         npt.assert_allclose(one, other, rtol=0, atol=1e-12)
     npt.assert_array_equal(undirected_edges(left, PART_OF), undirected_edges(right, PART_OF))
 
@@ -336,8 +337,7 @@ def test_any_value_anywhere_is_refused_or_gives_a_sound_graph(place, value):
         assert "\n" not in message
     else:
         validate_graph(graph, "map")
-        planes = observed_of(graph).nodes
-        validate_planes(planes.position, planes.normal, planes.width, "map")
+        checked_observed(observed_of(graph), "map")
 
 
 def read_or_message(messages):

@@ -13,18 +13,19 @@ from hypothesis import strategies as st
 
 from sg3d_jax.data import synthetic
 from sg3d_jax.io.formats import read_graphs, write_graphs
-from sg3d_jax.io.spark_dsg import LAYERS, graph_from_spark_dsg, graph_to_spark_dsg
+from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg
+from sg3d_jax.scene.graph import features_of, make_graph, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import (
     BUILDING,
     CITY,
     FLOOR,
+    PAPER_ONTOLOGY,
     PART_OF,
     PLANE,
     PROXIMITY,
     ROOM,
     WALL,
 )
-from sg3d_jax.scene.graph import make_graph, undirected_edges
 from sg3d_jax.scene.validate import validate_graph
 from tests.io.documents import places_of
 
@@ -48,10 +49,7 @@ def city(seed=0):
 
 def shuffled(seed=0):
     """Returns a graph whose concepts are mixed, as a growth step in mixed order may leave it."""
-    graph, order = city(seed), np.random.default_rng(seed).permutation(10)
-    place = np.argsort(order)
-    fields = (field[order] for field in graph.nodes[:4])
-    return make_graph(*fields, *(place[undirected_edges(graph, k)] for k in (PART_OF, PROXIMITY)))
+    return subgraph(city(seed), np.random.default_rng(seed).permutation(10))
 
 
 def document(walls="edges"):
@@ -83,8 +81,9 @@ def test_a_graph_survives_its_file_bit_for_bit(tmp_path, graph, walls):
 
 def test_edges_that_break_the_hierarchy_survive():
     graph = city()
-    fields = graph.nodes[:4]
-    wild = make_graph(*fields, part_of=[[0, 9], [5, 6], [0, 1], [4, 5]], proximity=[[5, 7], [2, 3]])
+    nodes = graph.nodes.label, graph.nodes.position
+    edges = {"part_of": [[0, 9], [5, 6], [0, 1], [4, 5]], "proximity": [[5, 7], [2, 3]]}
+    wild = make_graph(*nodes, **features_of(graph), **edges)
     for walls in WALLS:
         assert_same_graph(graph_from_spark_dsg(graph_to_spark_dsg(wild, walls)), wild)
 
@@ -161,9 +160,9 @@ def test_their_library_sees_the_same_graph(tmp_path, walls):
     loaded = spark_dsg.DynamicSceneGraph.load(str(tmp_path / "a.json"))
     ids = [node["id"] for node in written["nodes"]]
     assert {node.id.value for node in loaded.nodes} == set(ids)
-    for concept, name in enumerate(LAYERS):
-        inside = {node.id.value for node in loaded.get_layer(name).nodes}
-        assert inside == {ids[row] for row in np.flatnonzero(graph.nodes.label == concept)}
+    for label, concept in enumerate(PAPER_ONTOLOGY.concepts):
+        inside = {node.id.value for node in loaded.get_layer(concept.layer).nodes}
+        assert inside == {ids[row] for row in np.flatnonzero(graph.nodes.label == label)}
     pairs = {frozenset((edge.source, edge.target)) for edge in loaded.edges}
     assert pairs == {frozenset((edge["source"], edge["target"])) for edge in written["edges"]}
     for row, name in enumerate(ids):

@@ -10,8 +10,16 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import shortest_path
 
-from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.graph import SceneGraph, make_graph, ontology_of, undirected_edges
+from sg3d_jax.scene.ontology import (
+    FLOOR,
+    PAPER_ONTOLOGY,
+    PART_OF,
+    PLANE,
+    ROOM,
+    WALL,
+    Ontology,
+)
 from sg3d_jax.scene.padding import Capacity, pad
 
 CAPACITY = Capacity(24, 288)
@@ -35,22 +43,26 @@ def random_hierarchy(rng: np.random.Generator, rooms: int, noise: float = 0.0) -
     return graph_of(label, position, edges)
 
 
-def graph_of(label: list[int], position: np.ndarray, part_of: list | np.ndarray) -> SceneGraph:
+def graph_of(
+    label: list[int] | np.ndarray,
+    position: np.ndarray,
+    part_of: list | np.ndarray,
+    ontology: Ontology = PAPER_ONTOLOGY,
+) -> SceneGraph:
     """A host graph without normals, widths or proximity."""
-    count = len(label)
-    return make_graph(label, position, np.zeros((count, 3)), np.zeros(count), part_of)
+    return make_graph(label, position, part_of=part_of, ontology=ontology)
 
 
 def perturb(rng: np.random.Generator, graph: SceneGraph, drop: int, share: float) -> SceneGraph:
     """Moves the new nodes by metres, drops the last `drop` of them and a share of the edges."""
     label, position = graph.nodes.label, graph.nodes.position.copy()
-    new = label != PLANE
+    new = ~graph.nodes.observed
     position[new] += rng.normal(size=(new.sum(), 3))
     keep = len(label) - drop
     pairs = undirected_edges(graph, PART_OF)
     pairs = pairs[(pairs < keep).all(axis=1)]
     pairs = pairs[rng.random(len(pairs)) >= share]
-    return graph_of(label[:keep], position[:keep], pairs)
+    return graph_of(label[:keep], position[:keep], pairs, ontology_of(graph))
 
 
 def placed(graph: SceneGraph, position: np.ndarray | jax.Array) -> SceneGraph:
@@ -68,14 +80,14 @@ def reference_costs(
     generated: SceneGraph, truth: SceneGraph
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Feature distances and both hop matrices, in float64, dummies included."""
-    planes = truth.nodes.position[truth.nodes.label == PLANE]
-    scale = np.sqrt(planes[:, :2].var(axis=0).mean()) or 1.0
+    observed = truth.nodes.position[truth.nodes.observed]
+    scale = np.sqrt(observed[:, :2].var(axis=0).mean()) or 1.0
     size = max(len(generated.nodes.label), len(truth.nodes.label))
     features, hops, longest = [], [], []
     for graph in (generated, truth):
         count = len(graph.nodes.label)
-        row = np.zeros((size, 9))
-        row[:count, :3] = (graph.nodes.position - planes.mean(axis=0)) / scale
+        row = np.zeros((size, 3 + ontology_of(graph).num_concepts))
+        row[:count, :3] = (graph.nodes.position - observed.mean(axis=0)) / scale
         row[np.arange(count), 3 + graph.nodes.label] = 1.0
         adjacency = np.zeros((count, count))
         adjacency[tuple(undirected_edges(graph, PART_OF).T)] = 1.0

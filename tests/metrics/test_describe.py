@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 
 from sg3d_jax.data import registry
 from sg3d_jax.metrics.describe import count_proximity_edges, describe
-from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM
-from sg3d_jax.scene.graph import SceneGraph, make_graph
+from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, PLANE, PROXIMITY, ROOM
+from tests import own_world
 
 
 def one_room() -> SceneGraph:
@@ -64,6 +65,44 @@ def test_proximity_counts_keep_the_order_of_graphs_of_different_sizes():
     few, many, again = count_proximity_edges([one_room(), large, one_room()])
     assert few == again == 6
     assert many > 6
+
+
+def test_a_made_up_ontology_is_described_in_its_own_words():
+    world = own_world.own_world()
+    summary = describe([world, world])
+    assert {name: each["mean"] for name, each in summary["concepts"].items()} == {
+        "plane": 12,
+        "pillar": 2,
+        "wall": 1,
+        "room": 3,
+        "flat": 2,
+        "floor": 1,
+    }
+    assert summary["children"] == {
+        "plane-wall": {"2": 1.0},
+        "plane-room": {"4": 1.0},
+        "pillar-room": {"1": 1.0},
+        "room-flat": {"1": 0.5, "2": 0.5},
+        "flat-floor": {"2": 1.0},
+    }
+    assert summary["ranges"]["width"] == [world.nodes.width[:12].min(), 4.8]
+
+
+def test_all_that_is_observed_is_counted_as_joined():
+    world = own_world.own_world()
+    without = make_graph(
+        world.nodes.label,
+        world.nodes.position,
+        part_of=own_world.PART_OF_PAIRS,
+        ontology=own_world.ONTOLOGY,
+    )
+    observed = world.nodes.position[: own_world.NUM_OBSERVED]
+    _, nearest = cKDTree(observed).query(observed, k=11)
+    pairs = {frozenset((i, int(j))) for i, row in enumerate(nearest) for j in row if i != j}
+    assert count_proximity_edges([without, world]).tolist() == [
+        len(pairs),
+        len(undirected_edges(world, PROXIMITY)),
+    ]
 
 
 def test_statistics_are_json():

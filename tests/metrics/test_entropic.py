@@ -11,12 +11,15 @@ from sg3d_jax.metrics.entropic import entropic_fgw, fused_penalty, round_to_feas
 from sg3d_jax.metrics.fgw import FGW, fgw
 from sg3d_jax.metrics.fgw_problem import mass_of_nodes, pose
 from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.scene.padding import Capacity, stack
+from sg3d_jax.scene.padding import Capacity, pad, stack
+from tests import own_world
 from tests.metrics.fgw_reference import (
     CAPACITY,
     graph_of,
     on_device,
     permute,
+    perturb,
+    placed,
     pot,
     random_pairs,
     reference_costs,
@@ -103,6 +106,27 @@ def test_entropic_fgw__of_empty_and_single_graphs_is_that_of_fgw():
     for pair in ((empty, empty), (plane, plane), (plane, empty), (empty, plane)):
         exact = fgw(*(on_device(graph) for graph in pair))
         np.testing.assert_allclose(smooth(*pair).value, exact.value, atol=1e-6)
+
+
+def test_entropic_fgw__of_host_graphs_does_not_depend_on_where_they_stand(smooth_scores):
+    far = [
+        [
+            pad(placed(graph, graph.nodes.position + np.array([5e5, 5e6, 120.0])), CAPACITY)
+            for graph in side[1:4]
+        ]
+        for side in (GENERATED, TRUTH)
+    ]
+    found = [entropic_fgw(*pair, epsilons=(0.1, 0.03)) for pair in zip(*far, strict=True)]
+    near = [score.value for score in smooth_scores[1:4]]
+    np.testing.assert_allclose([score.value for score in found], near, atol=1e-5)
+
+
+def test_entropic_fgw__of_a_made_up_ontology_is_near_the_exact_one():
+    truth = own_world.own_world()
+    made = perturb(np.random.default_rng(0), truth, 1, 0.1)
+    capacity = Capacity(24, 288)
+    exact = fgw(on_device(made, capacity), on_device(truth, capacity)).value
+    assert 0.1 < exact <= smooth(made, truth, capacity).value < 1.1 * exact
 
 
 def test_rounding__changes_an_infeasible_plan_no_more_than_its_marginals_are_wrong():

@@ -8,12 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.data import registry
-from sg3d_jax.metrics.fgw import FGW, PAIRS_PER_CALL, _fgw_stacked, fgw, fgw_pairs
-from sg3d_jax.metrics.fgw_problem import Scale, pose
+from sg3d_jax.metrics.fgw import (
+    FGW,
+    PAIRS_PER_CALL,
+    _fgw_stacked,
+    fgw,
+    fgw_pairs,
+    matched_labels,
+)
+from sg3d_jax.metrics.fgw_problem import Scale, centred, pose
 from sg3d_jax.metrics.frank_wolfe import from_assignment, minimise
-from sg3d_jax.scene.ontology import PLANE, ROOM
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import PLANE, ROOM
 from sg3d_jax.scene.padding import Capacity, pad, stack
+from tests import own_world
 from tests.metrics.fgw_reference import (
     CAPACITY,
     graph_of,
@@ -149,6 +157,49 @@ def test_fgw__of_a_graph_with_itself_is_zero_wherever_it_stands(pairs):
     assert np.abs(fgw_pairs(far, far).value).max() < 1e-5
 
 
+UTM = np.array([5e5, 5e6, 120.0])  # where a building stands, metres
+
+
+def at(graph: SceneGraph, offset: np.ndarray) -> SceneGraph:
+    return placed(graph, graph.nodes.position + offset)
+
+
+def test_fgw__of_host_graphs_does_not_depend_on_where_they_stand(pairs):
+    near = [fgw(*(pad(graph, CAPACITY) for graph in pair)) for pair in zip(*pairs, strict=True)]
+    far = [
+        fgw(*(pad(at(graph, UTM), CAPACITY) for graph in pair)) for pair in zip(*pairs, strict=True)
+    ]
+    moved = [[at(graph, UTM) for graph in side] for side in pairs]
+    np.testing.assert_allclose([s.value for s in far], [s.value for s in near], atol=1e-6)
+    np.testing.assert_allclose([s.value for s in far], fgw_pairs(*moved).value, atol=1e-6)
+    # On the device the metres are lost before fgw sees them.
+    late = [one(at(made, UTM), at(true, UTM)) for made, true in zip(*pairs, strict=True)]
+    assert max(abs(s.value - n.value) / n.value for s, n in zip(late, near, strict=True)) > 0.01
+
+
+def test_centring__leaves_alone_what_is_on_the_device_or_traced(pairs):
+    pair = [on_device(side[2]) for side in pairs]
+    assert all(new is old for new, old in zip(centred(*pair), pair, strict=True))
+    mixed = pad(pairs[0][2], CAPACITY), pair[1]
+    assert all(new is old for new, old in zip(centred(*mixed), mixed, strict=True))
+    expected = fgw(*pair).value
+    host = [pad(side[2], CAPACITY) for side in pairs]
+    np.testing.assert_array_equal(jax.jit(fgw)(*host).value, jax.jit(fgw)(*pair).value)
+    far = [pad(at(side[2], UTM), CAPACITY) for side in pairs]
+    np.testing.assert_allclose(jax.jit(lambda: fgw(*far).value)(), expected, atol=1e-6)
+
+
+def test_centring__moves_both_graphs_alike_and_keeps_padding_at_zero(pairs):
+    host = [pad(at(side[2], UTM), CAPACITY) for side in pairs]
+    made, true = centred(*host)
+    planes = true.nodes.position[true.nodes.observed]
+    np.testing.assert_allclose(planes.mean(axis=0), 0, atol=1e-8)
+    for old, new in zip(host, (made, true), strict=True):
+        shift = (old.nodes.position - new.nodes.position)[old.nodes.mask]
+        np.testing.assert_allclose(shift, np.broadcast_to(shift[0], shift.shape), atol=1e-8)
+        assert not new.nodes.position[~old.nodes.mask].any()
+
+
 def test_fgw__does_not_depend_on_the_unit_of_length(pairs):
     scaled = [
         [
@@ -233,6 +284,74 @@ def test_gradient__of_the_positions_is_that_of_finite_differences(pairs):
     step = 1e-2
     sides = [value(position.at[node, 0].add(sign * step)) for sign in (1, -1)]
     np.testing.assert_allclose(gradient[node, 0], (sides[0] - sides[1]) / (2 * step), rtol=2e-2)
+
+
+def test_gradient__against_a_host_truth_is_that_against_one_on_the_device(pairs):
+    generated, truth = (pad(side[2], CAPACITY) for side in pairs)
+
+    def value(position, truth):
+        return fgw(placed(generated, position), truth).value
+
+    position = jnp.asarray(generated.nodes.position)
+    found = jax.grad(value)(position, truth)
+    assert jnp.abs(found).max() > 0.01
+    np.testing.assert_array_equal(found, jax.grad(value)(position, on_device(pairs[1][2])))
+
+
+def own_pairs() -> tuple[list[SceneGraph], list[SceneGraph]]:
+    """The made-up world, erred on in several ways; what is observed is more than its planes."""
+    rng, truth = np.random.default_rng(3), own_world.own_world()
+    made = [perturb(rng, truth, drop, share) for drop in (0, 1, 3) for share in (0.0, 0.2)]
+    return [truth, *made], [truth] * 7
+
+
+def test_fgw__of_a_made_up_ontology_agrees_with_another_solver():
+    made, true = own_pairs()
+    scores = fgw_pairs(made, true)
+    expected = [
+        reference_fgw(*reference_costs(*pair), 0.5) for pair in zip(made, true, strict=True)
+    ]
+    found = np.stack([scores.value, scores.gw, scores.w], axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    alone = [one(*pair, LOOSE).value for pair in zip(made, true, strict=True)]
+    np.testing.assert_allclose(alone, scores.value, atol=1e-6)
+    num_concepts = own_world.ONTOLOGY.num_concepts
+    assert scores.matched.shape == (7, num_concepts, num_concepts)
+    np.testing.assert_allclose(np.diag(scores.matched[0]), np.bincount(true[0].nodes.label))
+
+
+def test_fgw__measures_from_all_that_is_observed():
+    # The pillar is observed beside the planes: it shares in their centre and in their spread.
+    position = np.array([[0.0, 0, 0], [2.0, 0, 0], [7.0, 0, 0], [3.0, 4, 0]])
+    label = [own_world.PLANE, own_world.PLANE, own_world.PILLAR, own_world.ROOM]
+    pairs = [(0, 3), (1, 3), (2, 3)]
+    truth = graph_of(label, position, pairs, own_world.ONTOLOGY)
+    higher = position + np.array([[0, 0, 0]] * 3 + [[0, 0, 1]])
+    off = graph_of(label, higher, pairs, own_world.ONTOLOGY)
+    spread = np.sqrt(np.var([0.0, 2.0, 7.0]) / 2)
+    np.testing.assert_allclose(one(off, truth).w, 1 / spread / 4, rtol=1e-5)
+
+
+def test_graphs_of_different_ontologies_are_refused():
+    own, paper = own_world.own_world(), random_hierarchy(np.random.default_rng(0), 2)
+    with pytest.raises(ValueError, match="another ontology than the true one"):
+        one(own, paper, LOOSE)
+    for made, true in (([own], [paper]), ([own, paper], [own, paper])):
+        with pytest.raises(ValueError, match="different ontologies, expected one"):
+            fgw_pairs(made, true)
+
+
+def test_matched__counts_the_real_nodes_that_the_plan_puts_on_each_other(pairs):
+    matched = jax.jit(matched_labels)
+    for generated, truth in zip(*pairs, strict=True):
+        padded = on_device(generated), on_device(truth)
+        plan = np.asarray(fgw(*padded).plan)
+        size = max(len(generated.nodes.label), len(truth.nodes.label))
+        expected = np.zeros((6, 6))
+        for row, left in enumerate(generated.nodes.label):
+            for column, right in enumerate(truth.nodes.label):
+                expected[left, right] += size * plan[row, column]
+        np.testing.assert_allclose(matched(plan, *padded), expected, atol=1e-5)
 
 
 def test_lists_that_do_not_pair_up_are_refused(pairs):

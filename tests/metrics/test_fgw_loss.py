@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from sg3d_jax.metrics.fgw import fgw
 from sg3d_jax.metrics.fgw_loss import fgw_loss
 from sg3d_jax.metrics.fgw_problem import one_hot
-from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.padding import stack
-from tests.metrics.fgw_reference import CAPACITY, on_device, random_pairs
+from tests import own_world
+from tests.metrics.fgw_reference import CAPACITY, on_device, perturb, random_pairs
 
 GENERATED, TRUTH = random_pairs()
 NUM_PAIRS = len(TRUTH)
@@ -91,6 +92,18 @@ def test_gradients__in_a_vmap_are_those_of_every_pair_alone():
         moves = sides[0].nodes.label[index] != PLANE
         np.testing.assert_allclose(batched[0][index][moves], alone[0][moves], atol=1e-6)
         np.testing.assert_allclose(batched[1][index], alone[1], atol=1e-6)
+
+
+def test_loss_and_gradients__of_a_made_up_ontology_are_right():
+    truth = own_world.own_world()
+    made = perturb(np.random.default_rng(0), truth, 1, 0.1)
+    generated, truth = (on_device(graph) for graph in (made, truth))
+    value, found = gradients(generated.nodes.position, one_hot(generated), generated, truth)
+    np.testing.assert_allclose(value, fgw(generated, truth).value, atol=3e-6)
+    assert found[1].shape == (CAPACITY.nodes, own_world.ONTOLOGY.num_concepts)
+    for gradient in found:
+        assert jnp.isfinite(gradient).all()
+        assert gradient.any()
 
 
 def test_a_training_step_on_the_loss_lowers_it_without_compiling_again():

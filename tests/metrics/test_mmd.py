@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from sg3d_jax.metrics.gin import gin_embedding, init_gin
 from sg3d_jax.metrics.mmd import embedding_mmd, histogram_mmd, mmd_scores
-from sg3d_jax.scene.ontology import PART_OF, PLANE, ROOM
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PLANE, ROOM
 from sg3d_jax.scene.padding import Capacity, pad
 
 NAMES: Final = {"degree", "clustering", "spectrum", "gin"}
@@ -34,8 +34,10 @@ def random_scenes(number: int, p: float, seed: int) -> list[SceneGraph]:
 
 def reordered(graph: SceneGraph, seed: int) -> SceneGraph:
     place = np.random.default_rng(seed).permutation(len(graph.nodes.label))
-    fields = (np.asarray(field)[np.argsort(place)] for field in graph.nodes[:4])
-    return make_graph(*fields, place[undirected_edges(graph, PART_OF)][::-1])
+    label, position = (
+        field[np.argsort(place)] for field in (graph.nodes.label, graph.nodes.position)
+    )
+    return make_graph(label, position, part_of=place[undirected_edges(graph, PART_OF)][::-1])
 
 
 def as_networkx(graph: SceneGraph) -> nx.Graph:

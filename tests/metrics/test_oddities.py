@@ -1,12 +1,18 @@
 """What is unusual about graphs, on scenes that were spoilt in one way each."""
 
+import dataclasses
+
+import networkx as nx
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sg3d_jax.data import registry
-from sg3d_jax.metrics.oddities import Remark, check, oddities
-from sg3d_jax.scene.ontology import BUILDING, FLOOR, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.metrics.oddities import Odd, Oddity, Remark, check, oddities
+from sg3d_jax.scene.graph import features_of, make_graph
+from sg3d_jax.scene.ontology import BUILDING, FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
+from tests import own_world
 from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS
 
 WALL_NODE, ROOM_NODE, FLOOR_NODE = NUM_PLANES, NUM_PLANES + 1, NUM_PLANES + 3
@@ -63,7 +69,89 @@ def test_synthetic_floors_are_as_they_should_be(name):
     ],
 )
 def test_what_is_unusual_is_named_and_counted(graph, expected):
-    assert oddities(graph) == expected
+    found = oddities(graph)
+    assert {odd.text(PAPER_ONTOLOGY): count for odd, count in found.items()} == expected
+
+
+def test_oddities_name_the_concepts_that_they_are_about():
+    found = oddities(scene(part_of=without((0, ROOM_NODE), (1, WALL_NODE))))
+    assert found == {
+        Odd(Oddity.WITHOUT_WHOLE, "plane", "room"): 1,
+        Odd(Oddity.TOO_FEW_PARTS, "wall"): 1,
+        Odd(Oddity.APART): 1,
+    }
+
+
+def test_planes_in_one_place_are_repeated_only_with_all_their_features():
+    position, normal = np.zeros((5, 3)), np.eye(3)[[0, 1, 0, 0, 1]]
+    graph = make_graph([PLANE] * 5, position, normal, [1, 1, 2, 1, 2], [])
+    assert oddities(graph)[Odd(Oddity.REPEATED, "plane")] == 1
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([0.05, 0.15, 0.4]))
+@settings(deadline=None, max_examples=50)
+def test_nodes_apart_are_those_outside_the_largest_component_of_networkx(seed, num_nodes, share):
+    edges = nx.gnp_random_graph(num_nodes, share, seed=seed)
+    graph = make_graph([ROOM] * num_nodes, np.zeros((num_nodes, 3)), part_of=[*edges.edges])
+    largest = max(map(len, nx.connected_components(edges)))
+    assert oddities(graph)[Odd(Oddity.APART)] == num_nodes - largest
+
+
+def test_a_graph_without_nodes_has_no_oddities():
+    assert oddities(make_graph([], [])) == {}
+
+
+def own_oddities(label=(), without=(), more=(), position=None):
+    """Returns what is odd about the made-up world with further nodes and other edges."""
+    world = own_world.own_world()
+    label = [*world.nodes.label, *label]
+    fields = {
+        name: np.concatenate([array, np.zeros((len(label) - len(array), *array.shape[1:]))])
+        for name, array in {"position": world.nodes.position, **features_of(world)}.items()
+    }
+    if position:
+        fields["position"][position[0]] = fields["position"][position[1]]
+    pairs = [pair for pair in own_world.PART_OF_PAIRS if pair not in without]
+    graph = make_graph(label, **fields, part_of=[*pairs, *more], ontology=own_world.ONTOLOGY)
+    return {odd.text(own_world.ONTOLOGY): count for odd, count in oddities(graph).items()}
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, {}),
+        ({"position": (12, 13)}, {"repeated pillar": 1}),
+        ({"position": (12, 0)}, {}),
+        ({"without": [(12, 15)]}, {"pillar without a room": 1, "node apart from the rest": 1}),
+        ({"more": [(12, 16)]}, {"pillar with more than one room": 1}),
+        ({"without": [(1, 14)]}, {"wall with fewer than two planes": 1}),
+        (
+            {"label": [own_world.FLAT], "more": [(21, 20)]},
+            {"empty flat": 1},
+        ),
+        (
+            {"label": [own_world.FLOOR]},
+            {"empty floor": 1, "node apart from the rest": 1},
+        ),
+        ({"without": [(18, 20)]}, {"flat without a floor": 1, "node apart from the rest": 13}),
+    ],
+)
+def test_oddities__of_a_made_up_ontology_are_named_and_counted(changes, expected):
+    assert own_oddities(**changes) == expected
+
+
+def test_what_is_too_few_is_said_in_the_words_of_the_ontology():
+    concepts = [
+        dataclasses.replace(concept, least_parts={"room": 3, "flat": 12}.get(concept.name, 1))
+        for concept in own_world.ONTOLOGY.concepts
+    ]
+    ontology = dataclasses.replace(own_world.ONTOLOGY, concepts=tuple(concepts))
+    texts = [Odd(Oddity.TOO_FEW_PARTS, name).text(ontology) for name in ("room", "flat", "floor")]
+    assert texts == [
+        "room with fewer than three planes or pillars",
+        "flat with fewer than 12 rooms",
+        "empty floor",
+    ]
 
 
 def test_remarks_say_how_often_and_where_first():

@@ -7,8 +7,9 @@ from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.mmd import mmd_scores
 from sg3d_jax.metrics.paper import SCORES
 from sg3d_jax.metrics.report import score, summary
+from sg3d_jax.scene.graph import make_graph, subgraph
 from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import make_graph
+from tests import own_world
 from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS, two_rooms
 
 
@@ -96,6 +97,39 @@ def test_levels__a_missing_node_costs_recall_and_a_second_one_precision():
     assert more["precision"]["wall"] == pytest.approx(0.5)
     assert more["recall"]["wall"] == pytest.approx(1)
     assert more["precision"]["room"] == pytest.approx(1)
+
+
+def test_report__of_a_made_up_ontology_tells_its_concepts():
+    truth = own_world.own_world()
+    fewer = subgraph(truth, np.arange(20))  # without the floor
+    report = score([truth, fewer], [truth, truth])
+    assert json.loads(json.dumps(report)) == report
+    grown = {"wall": 1.0, "room": 1.0, "flat": 1.0}
+    assert report["precision"] == pytest.approx(grown | {"floor": 1.0})
+    assert report["recall"] == pytest.approx(grown | {"floor": 0.5})
+    assert report["node_count_error"]["signed"] == {"total": -0.5, "floor": -0.5} | dict.fromkeys(
+        ("plane", "pillar", "wall", "room", "flat"), 0.0
+    )
+    assert report["failures"] == {
+        "flat without floor": {"count": 2, "share": 0.5},
+        "missing floor": {"count": 1, "share": 0.5},
+    }
+    assert report["exact_structure"] == 0.5
+    assert {report[rule] for rule in ("one_parent", "layer_rule", "no_duplicates")} == {1.0}
+    assert report["connected"] == 0.5
+    twice = make_graph(
+        truth.nodes.label,
+        truth.nodes.position,
+        part_of=[*own_world.PART_OF_PAIRS, (12, 16), (14, 20)],
+        ontology=own_world.ONTOLOGY,
+    )
+    broken = score([twice], [truth])
+    assert broken["one_parent"] == broken["layer_rule"] == 0
+
+
+def test_graphs_of_different_ontologies_are_refused():
+    with pytest.raises(ValueError, match="different ontologies"):
+        score([two_rooms()], [own_world.own_world()])
 
 
 def test_summary__has_mean_and_deviation_of_every_number():

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.metrics.shortest_path import hop_distances, part_of_hops
-from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM
 from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM
 from sg3d_jax.scene.padding import Capacity, pad
 
 CAPACITY = 12
@@ -45,6 +45,14 @@ def test_hops__are_those_of_networkx_in_a_batch_of_unequal_graphs(sizes, seed):
         np.testing.assert_array_equal(hops[:count, :count], hops_of_networkx(graph))
         assert not hops[count:].any()
         assert not hops[:, count:].any()
+
+
+def test_unconnected_nodes_are_one_hop_further_than_the_longest_path_that_is_left():
+    for cuts, expected in (((2,), 3), ((1, 3), 2), ((0, 1, 2, 3), 1)):
+        path = nx.path_graph(5)
+        path.remove_edges_from([(cut, cut + 1) for cut in cuts])
+        adjacency, mask = padded(path)
+        assert hop_distances(jnp.asarray(adjacency), jnp.asarray(mask))[0, 4] == expected
 
 
 def test_longest_possible_path():

@@ -1,4 +1,5 @@
 from collections import Counter
+from collections.abc import Sequence
 
 import networkx as nx
 import numpy as np
@@ -7,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.metrics.structure import exact_structure, failures, node_count_error
+from sg3d_jax.scene.graph import SceneGraph, make_graph, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from tests import own_world
 
 # Two rooms of three planes each, a wall between planes 2 and 3, one floor.
 LABEL = [PLANE] * 6 + [WALL, ROOM, ROOM, FLOOR]
@@ -100,6 +102,91 @@ def test_rooms_on_the_wrong_floors_are_a_wrong_grouping():
     renamed = graph_of(label, [*below, (4, 9), (5, 9), (6, 8), (7, 8), *above])
     assert failures(crossed, truth) == {"wrong grouping": 1}
     assert exact_structure(renamed, truth)
+
+
+def test_what_the_truth_has_too_is_no_failure():
+    # In recordings a plane may bound two rooms, and a room may lie on no floor.
+    two = [*EDGES[:-1], (3, 7)]
+    truth = graph_of(LABEL, two)
+    assert failures(truth, truth) == Counter()
+    thrice = graph_of([*LABEL, ROOM], [*two, (3, 10), (10, 9)])
+    assert failures(thrice, truth) == {"extra room": 1, "plane with more than one room": 1}
+
+
+OWN = own_world.own_world()
+PILLARS = (own_world.NUM_PLANES, own_world.NUM_PLANES + 1)
+OWN_WALL, OWN_ROOMS, OWN_FLATS, OWN_FLOOR = 14, (15, 16, 17), (18, 19), 20
+
+
+def own_graph(label: Sequence[int] = (), without: Sequence = (), more: Sequence = ()) -> SceneGraph:
+    """The made-up world with further nodes, other edges."""
+    label = [*OWN.nodes.label, *label]
+    pairs = [pair for pair in own_world.PART_OF_PAIRS if pair not in without]
+    position = np.zeros((len(label), 3))
+    return make_graph(label, position, part_of=[*pairs, *more], ontology=own_world.ONTOLOGY)
+
+
+OWN_CASES = {
+    "sound": (own_graph(), {}),
+    "pillar in another room": (
+        own_graph(without=[(PILLARS[0], 15)], more=[(PILLARS[0], 16)]),
+        {"room with wrong planes or pillars": 2},
+    ),
+    "pillars swapped": (
+        own_graph(
+            without=[(PILLARS[0], 15), (PILLARS[1], 16)],
+            more=[(PILLARS[1], 15), (PILLARS[0], 16)],
+        ),
+        {"room with wrong planes or pillars": 2},
+    ),
+    "pillar in two rooms": (
+        own_graph(more=[(PILLARS[0], 17)]),
+        {"room with wrong planes or pillars": 1, "pillar with more than one room": 1},
+    ),
+    "empty room": (
+        own_graph([own_world.ROOM]),
+        {"room without planes or pillars": 1, "room without flat": 1},
+    ),
+    "wall of a pillar": (
+        own_graph(more=[(PILLARS[0], OWN_WALL)]),
+        {"wall with wrong planes": 1, "edge against the rules": 1},
+    ),
+    "wall without planes": (
+        own_graph(without=[(1, OWN_WALL), (4, OWN_WALL)]),
+        {"wall without planes": 1, "missing wall": 1},
+    ),
+    "further flat": (
+        own_graph([own_world.FLAT], more=[(21, OWN_FLOOR)]),
+        {"extra flat": 1},
+    ),
+    "room without flat": (own_graph(without=[(17, 19)]), {"room without flat": 1}),
+    "flat on a flat": (own_graph(more=[(18, 19)]), {"edge against the rules": 1}),
+    "room on the floor": (own_graph(more=[(15, 20)]), {"edge against the rules": 1}),
+    "further pillar": (own_graph([own_world.PILLAR]), {"extra pillar": 1}),
+    "rooms in the wrong flats": (
+        own_graph(without=[(16, 18)], more=[(16, 19)]),
+        {"wrong grouping": 1},
+    ),
+}
+
+
+@pytest.mark.parametrize(("generated", "expected"), OWN_CASES.values(), ids=OWN_CASES.keys())
+def test_failures__of_a_made_up_ontology_are_named(generated, expected):
+    assert failures(generated, OWN) == Counter(expected)
+    assert exact_structure(generated, OWN) == (not expected)
+
+
+def test_node_count_error__counts_the_concepts_of_the_ontology():
+    errors = node_count_error(own_graph([own_world.FLAT, own_world.PILLAR]), OWN)
+    assert errors == {"plane": 0, "pillar": 1, "wall": 0, "room": 0, "flat": 1, "floor": 0}
+
+
+def test_observed_nodes_are_known_by_their_rank_wherever_they_are_listed():
+    # Floor first, pillars amid the planes' rows: only the order among the observed counts.
+    order = np.array([20, *range(14), *range(14, 20)])
+    again = subgraph(OWN, order)
+    assert exact_structure(again, OWN)
+    assert failures(again, OWN) == Counter()
 
 
 def test_node_count_error__is_signed():

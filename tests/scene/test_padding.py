@@ -1,3 +1,4 @@
+import inspect
 from itertools import pairwise
 
 import chex
@@ -9,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sg3d_jax.scene.graph import PackedGraph, SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
-from sg3d_jax.scene.graph import make_graph, undirected_edges
 from sg3d_jax.scene.padding import (
     EDGES_PER_NODE,
     NODE_CAPACITIES,
@@ -19,12 +20,16 @@ from sg3d_jax.scene.padding import (
     append_block,
     bucket,
     centre_of_observed,
+    masked,
+    moved_by,
+    pack,
     pad,
     part_of_adjacency,
     stack,
     unpad,
     without_proximity,
 )
+from tests.own_world import ONTOLOGY, own_world
 
 CAPACITY = Capacity(16, 256)
 BLOCK_CAPACITY = 4
@@ -105,7 +110,8 @@ def test_padding_is_zero_and_masked():
     assert not np.any(padded.edges.mask[num_edges:])
     assert not np.any(padded.senders[num_edges:])
     npt.assert_array_equal(padded.n_node, [num_nodes, CAPACITY.nodes - num_nodes])
-    assert padded.nodes.position.dtype == np.float32
+    assert padded.nodes.position.dtype == np.float64  # float32 is the device's, which takes it over
+    assert on_device(graph).nodes.position.dtype == np.float32
 
 
 def test_a_graph_may_fill_its_capacity():
@@ -213,6 +219,149 @@ def test_dropping_proximity_keeps_part_of_edges():
     assert len(undirected_edges(graph, PROXIMITY)) > 0
     assert len(undirected_edges(kept, PROXIMITY)) == 0
     npt.assert_array_equal(undirected_edges(kept, PART_OF), undirected_edges(graph, PART_OF))
+
+
+def with_holes(seed, num_nodes=9):
+    """A padded graph that has lost some nodes, with their edges, and some of the other edges."""
+    graph, rng = on_device(random_graph(seed, num_nodes)), np.random.default_rng(seed)
+    nodes = np.asarray(graph.nodes.mask) & (rng.random(CAPACITY.nodes) < 0.6)
+    kept = nodes[np.asarray(graph.senders)] & nodes[np.asarray(graph.receivers)]
+    lost = rng.random((CAPACITY.nodes, CAPACITY.nodes)) < 0.3  # in both directions
+    lost = (lost | lost.T)[np.asarray(graph.senders), np.asarray(graph.receivers)]
+    edges = np.asarray(graph.edges.mask) & kept & ~lost
+    return masked(graph, jnp.asarray(nodes), jnp.asarray(edges))
+
+
+def packed_by_loop(graph):
+    """What pack should do, one slot after the other."""
+    packed = jax.tree.map(lambda leaf: np.zeros_like(np.asarray(leaf)), graph)
+    place = {}
+    for slot in np.flatnonzero(graph.nodes.mask).tolist():
+        for new, old in zip(packed.nodes, graph.nodes, strict=True):
+            new[len(place)] = old[slot]
+        place[slot] = len(place)
+    for rank, slot in enumerate(np.flatnonzero(graph.edges.mask).tolist()):
+        packed.edges.relation[rank] = graph.edges.relation[slot]
+        packed.edges.mask[rank] = True
+        packed.senders[rank] = place[int(graph.senders[slot])]
+        packed.receivers[rank] = place[int(graph.receivers[slot])]
+    packed.n_node[:] = len(place), CAPACITY.nodes - len(place)
+    num_edges = int(graph.edges.mask.sum())
+    packed.n_edge[:] = num_edges, CAPACITY.edges - num_edges
+    return packed
+
+
+pack_compiled = jax.jit(pack)
+
+
+@given(seed=st.integers(0, 2**32 - 1), num_nodes=st.integers(1, 16))
+@settings(deadline=None, max_examples=40)
+def test_packing_agrees_with_a_loop_over_slots(seed, num_nodes):
+    holey = with_holes(seed, num_nodes)
+    found, expected = pack_compiled(holey), packed_by_loop(holey)
+    assert type(found) is PackedGraph
+    for new, wanted in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        npt.assert_array_equal(new, wanted)
+    for new, old in zip(jax.tree.leaves(found), jax.tree.leaves(holey), strict=True):
+        assert new.dtype == old.dtype
+    assert_same_graph(unpad(found), unpad(holey))
+
+
+def test_packing_a_batch_agrees_with_a_loop_and_compiles_once():
+    graphs = [with_holes(seed, 4 + seed) for seed in range(4)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *graphs)
+    pack_all = jax.jit(jax.vmap(chex.assert_max_traces(pack, n=1)))
+    packed = pack_all(stacked)
+    assert type(packed) is PackedGraph
+    for index, graph in enumerate(graphs):
+        one = jax.tree.map(lambda leaf, index=index: leaf[index], packed)
+        chex.assert_trees_all_equal(one, pack_compiled(graph))
+    pack_all(jax.tree.map(lambda leaf: leaf[::-1], stacked))
+
+
+def test_packing_a_packed_graph_changes_nothing():
+    graph = on_device(random_graph(3))
+    chex.assert_trees_all_equal(pack_compiled(graph), graph)
+
+
+@given(seed=st.integers(0, 2**32 - 1), num_new=st.integers(0, BLOCK_CAPACITY))
+@settings(deadline=None, max_examples=20)
+def test_appending_after_packing_keeps_every_node(seed, num_new):
+    holey, block = with_holes(seed), random_block(seed + 1, num_new)
+    packed = pack_compiled(holey)
+    # The block's edges to old nodes name slots: those of the packed graph.
+    grown, fitted = append(packed, block)
+    assert bool(fitted)
+    assert_same_graph(unpad(grown), append_by_loop(unpad(holey), block))
+
+
+@pytest.mark.parametrize(
+    "holey",
+    [
+        lambda: with_holes(5),
+        lambda: without_proximity(on_device(random_graph(5))),
+        lambda: random_graph(5),
+        lambda: jax.tree.map(lambda leaf: leaf, SceneGraph(*on_device(random_graph(5)))),
+    ],
+    ids=["masked", "without proximity", "unpadded", "of no known order"],
+)
+def test_a_graph_that_is_not_packed_is_not_appended_to(holey):
+    unchecked = inspect.unwrap(append_block)  # the tests' type checker would be first to refuse
+    for append_any in (unchecked, jax.jit(unchecked)):
+        with pytest.raises(TypeError, match="only a PackedGraph can be appended to"):
+            append_any(holey(), random_block(6, 2))
+
+
+def test_what_pads_is_packed_and_what_masks_is_not():
+    graph = random_graph(2)
+    device = on_device(graph)
+    assert type(pad(graph, CAPACITY)) is type(stack([graph] * 2, CAPACITY)) is PackedGraph
+    assert type(append(device, random_block(3, 2))[0]) is PackedGraph
+    assert type(jax.jit(lambda graph: graph)(device)) is PackedGraph
+    assert type(masked(device, device.nodes.mask, device.edges.mask)) is SceneGraph
+    assert type(without_proximity(device)) is SceneGraph
+    assert type(unpad(device)) is type(graph) is SceneGraph
+
+
+def test_masked_nodes_are_not_observed_and_counts_follow_the_masks():
+    graph = on_device(random_graph(12))
+    keep = graph.nodes.mask & (jnp.arange(CAPACITY.nodes) % 3 != 1)
+    edges = graph.edges.mask & (jnp.arange(CAPACITY.edges) % 2 == 0)
+    found = masked(graph, keep, edges)
+    is_plane = np.asarray(graph.nodes.label) == PLANE
+    npt.assert_array_equal(found.nodes.observed, np.asarray(keep) & is_plane)
+    assert 0 < found.nodes.observed.sum() < graph.nodes.observed.sum()
+    npt.assert_array_equal(found.nodes.mask, keep)
+    npt.assert_array_equal(found.n_node, [keep.sum(), (~keep).sum()])
+    npt.assert_array_equal(found.n_edge, [edges.sum(), (~edges).sum()])
+
+
+def test_padding_and_what_is_appended_are_not_observed():
+    grown, _ = append(on_device(random_graph(13)), random_block(14, 3))
+    is_plane = (np.asarray(grown.nodes.label) == PLANE) & (np.arange(CAPACITY.nodes) < 9)
+    npt.assert_array_equal(grown.nodes.observed, is_plane)
+
+
+def test_the_ontology_goes_along():
+    world = own_world()
+    capacity = Capacity(32, 256)
+    for graph in (pad(world, capacity), stack([world], capacity), pack(pad(world, capacity))):
+        assert graph.globals is ONTOLOGY
+    assert_same_graph(unpad(pad(world, capacity)), world)
+
+
+def test_centre_of_observed_is_zero_where_nothing_is_observed():
+    npt.assert_array_equal(centre_of_observed(make_graph([ROOM], [[9, 9, 9]])), np.zeros(3))
+
+
+def test_moving_leaves_padding_at_zero_and_rounds_nothing():
+    graph, offset = random_graph(1), np.array([5e5, 5e6, 1.0])
+    far = moved_by(pad(graph, CAPACITY), offset)
+    npt.assert_array_equal(far.nodes.position[:9], graph.nodes.position + offset)
+    assert not far.nodes.position[9:].any()
+    npt.assert_allclose(centre_of_observed(far), centre_of_observed(graph) + offset, rtol=1e-15)
+    back = moved_by(far, -centre_of_observed(far))
+    npt.assert_allclose(centre_of_observed(back), 0, atol=1e-8)
 
 
 def test_centre_of_observed_ignores_other_nodes():

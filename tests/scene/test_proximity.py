@@ -6,10 +6,12 @@ import numpy.testing as npt
 import pytest
 from scipy.spatial import cKDTree
 
-from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
-from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.graph import PackedGraph, make_graph, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Capacity, pad, stack
-from sg3d_jax.scene.proximity import connect_kin, connect_observed, nearest_neighbours
+from sg3d_jax.scene.proximity import connect_observed, nearest_neighbours
+from tests.own_world import PILLAR, own_world
+from tests.own_world import PLANE as OWN_PLANE
 
 CAPACITY = Capacity(64, 1024)
 
@@ -128,37 +130,12 @@ def test_coincident_planes_are_neighbours_of_each_other_not_of_themselves():
     assert adjacency.sum(axis=1).min() >= 1
 
 
-@pytest.mark.parametrize("k", [1, 3, 8])
-def test_kin__are_the_nearest_nodes_of_the_same_concept_above_the_walls(k):
-    rng = np.random.default_rng(k)
-    label = rng.permutation([PLANE] * 12 + [WALL] * 6 + [ROOM] * 7 + [FLOOR] * 3 + [BUILDING])
-    position, size = rng.normal(size=(len(label), 3)), len(label)
-    pairs = rng.permutation(size)[:20].reshape(-1, 2)
-    graph = make_graph(label, position, np.zeros((size, 3)), np.zeros(size), pairs)
-    padded = jax.tree.map(jnp.asarray, pad(graph, CAPACITY))
-    found = jax.jit(connect_kin, static_argnums=1)(padded, k)
-    expected = set()
-    for node in np.flatnonzero(label >= ROOM):
-        kin = [int(other) for other in np.flatnonzero(label == label[node]) if other != node]
-        kin.sort(key=lambda other: np.linalg.norm(position[other] - position[node]))
-        expected |= {(other, int(node)) for other in kin[:k]}
-    new = np.asarray(found.edges.mask)[CAPACITY.edges :]
-    ends = np.stack([found.senders, found.receivers], axis=-1)[CAPACITY.edges :]
-    assert sorted(map(tuple, ends[new].tolist())) == sorted(expected)
-    assert (ends[~new] == 0).all()
-    assert (np.asarray(found.edges.relation)[CAPACITY.edges :] == PROXIMITY).all()
-    assert found.n_edge[0] == found.edges.mask.sum() == padded.n_edge[0] + len(expected)
-    assert found.n_edge.sum() == len(found.edges.mask)
-    for old, kept in zip(jax.tree.leaves(padded), jax.tree.leaves(found), strict=True):
-        if old.shape[:1] == (CAPACITY.edges,):
-            npt.assert_array_equal(kept[: CAPACITY.edges], old)
-
-
-def test_kin__beyond_the_slots_for_them_are_left_out():
-    label = np.array([PLANE] * 2 + [ROOM] * 10)
-    position = np.arange(36.0).reshape(12, 3)
-    graph = make_graph(label, position, np.zeros((12, 3)), np.zeros(12), np.zeros((0, 2)))
-    padded = jax.tree.map(jnp.asarray, pad(graph, Capacity(12, 4)))
-    found = jax.jit(connect_kin, static_argnums=1)(padded, 8)
-    kept = np.asarray(found.receivers)[np.asarray(found.edges.mask)]
-    assert set(kept.tolist()) == {2, 3, 4, 5}
+def test_all_that_is_observed_is_connected_and_nothing_else():
+    world = own_world()
+    connected = connect(on_device(world, CAPACITY), k=3)
+    observed = np.flatnonzero(np.isin(world.nodes.label, [OWN_PLANE, PILLAR]))
+    expected = neighbours_by_tree(world.nodes.position[observed], 3)
+    found = undirected_edges(connected, PROXIMITY)
+    npt.assert_array_equal(found, observed[np.argwhere(np.triu(expected))])
+    npt.assert_array_equal(undirected_edges(connected, PART_OF), undirected_edges(world, PART_OF))
+    assert type(connected) is PackedGraph

@@ -1,10 +1,12 @@
 import numpy as np
+import numpy.testing as npt
 import pytest
 
+from sg3d_jax.scene.graph import features_of, make_graph
 from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL
-from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.padding import Capacity, pad
-from sg3d_jax.scene.validate import validate_graph, validate_planes
+from sg3d_jax.scene.validate import checked_observed, validate_graph
+from tests import own_world
 
 WHERE = "scenes.npz: graph 3"
 
@@ -32,9 +34,15 @@ def with_node(graph, **fields):
 
 def with_pairs(*pairs):
     """Returns the graph with part-of edges appended."""
-    graph = two_rooms()
+    part_of = [[0, 2], [1, 2], [0, 3], [1, 4], [3, 5], [4, 5], *pairs]
+    return with_edges(two_rooms(), part_of=part_of)
+
+
+def with_edges(graph, **edges):
+    """Returns the nodes of a graph with other edges."""
+    nodes = graph.nodes
     return make_graph(
-        *graph.nodes[:4], part_of=[[0, 2], [1, 2], [0, 3], [1, 4], [3, 5], [4, 5], *pairs]
+        nodes.label, nodes.position, **features_of(graph), **edges, ontology=graph.globals
     )
 
 
@@ -84,9 +92,9 @@ def test_edges_outside_the_hierarchy_are_refused_only_by_the_rules(pair):
 
 
 def test_proximity_of_other_things_than_planes_is_refused():
-    graph = two_rooms()
-    odd = make_graph(*graph.nodes[:4], part_of=[], proximity=[[0, 3]])
-    with pytest.raises(ValueError, match=r"joins plane and room as proximity, expected two planes"):
+    odd = with_edges(two_rooms(), proximity=[[0, 3]])
+    sentence = "joins plane and room as proximity, expected two that are observed"
+    with pytest.raises(ValueError, match=sentence):
         validate_graph(odd, WHERE)
 
 
@@ -145,9 +153,17 @@ def corridor():
     return position, normal, np.array([8, 8, 2.0])
 
 
+def planes(position, normal, width):
+    return make_graph([PLANE] * len(position), position, normal, width)
+
+
 def refusal(position, normal, width):
+    return refusal_of(planes(position, normal, width))
+
+
+def refusal_of(graph):
     with pytest.raises(ValueError, match=r"^planes\.json: ") as caught:
-        validate_planes(position, normal, width, "planes.json")
+        checked_observed(graph, "planes.json")
     message = str(caught.value)
     assert "\n" not in message
     assert "expected" in message
@@ -155,17 +171,47 @@ def refusal(position, normal, width):
 
 
 def test_sound_planes_pass():
-    validate_planes(*corridor(), "planes.json")
+    graph = planes(*corridor())
+    assert checked_observed(graph, "planes.json") is graph
 
 
-def test_normals_rounded_to_two_decimals_pass():
-    position, _, width = corridor()
-    validate_planes(position, np.array([[0.71, 0.71, 0.0]] * 3), width, "planes.json")
+def test_normals_rounded_to_two_decimals_are_brought_to_unit_length():
+    position, normal, width = corridor()
+    normal[:2] = [0.71, 0.71, 0.0], [0.6, -0.79, 0.0]
+    checked = checked_observed(planes(position, normal, width), "planes.json")
+    npt.assert_allclose(np.linalg.norm(checked.nodes.normal, axis=1), 1, rtol=1e-12)
+    npt.assert_allclose(checked.nodes.normal[0], [0.5**0.5, 0.5**0.5, 0])
+    npt.assert_array_equal(checked.nodes.normal[2], normal[2])
+    validate_graph(checked, "planes.json")  # so that what grew on it can be written
+
+
+@pytest.mark.parametrize("length", [1.0, 1 - 1e-16, 0.9995, 1.0005, 0.9901, 1.0099])
+@pytest.mark.parametrize("angle", [0.0, 0.3, 2.0])
+def test_normals_near_unit_length_pass_and_those_that_are_right_stay_bit_for_bit(length, angle):
+    position, normal, width = corridor()
+    normal[1] = length * np.array([np.cos(angle), np.sin(angle), 0.0])
+    checked = checked_observed(planes(position, normal, width), "planes.json").nodes.normal
+    npt.assert_array_equal(checked[[0, 2]], normal[[0, 2]])
+    if abs(length - 1) < 1e-3:
+        npt.assert_array_equal(checked[1], normal[1])
+    else:
+        npt.assert_allclose(checked[1], normal[1] / length, rtol=1e-12)
+
+
+def test_what_is_not_observed_is_not_looked_at():
+    graph = with_node(two_rooms(), position=(3, np.nan), normal=((5, 0), 0.995))
+    checked = checked_observed(graph, WHERE)
+    assert checked is graph
+    short = with_node(graph, normal=((0, 0), -0.995))
+    checked = checked_observed(short, WHERE)
+    npt.assert_array_equal(checked.nodes.normal[[0, 1, 5]], [[-1, 0, 0], [1, 0, 0], [0.995, 0, 0]])
+    npt.assert_array_equal(checked.nodes.position, graph.nodes.position)
+    npt.assert_array_equal(checked.senders, graph.senders)
 
 
 def test_two_sides_of_one_thin_wall_pass():
     _, normal, _ = corridor()
-    validate_planes(np.zeros((2, 3)), normal[:2], np.ones(2), "planes.json")
+    checked_observed(planes(np.zeros((2, 3)), normal[:2], np.ones(2)), "planes.json")
 
 
 @pytest.mark.parametrize(("count", "held"), [(0, "no planes"), (1, "one plane")])
@@ -177,9 +223,9 @@ def test_too_few_planes_are_refused(count, held):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize(("field", "name"), [(0, "centroid"), (1, "normal"), (2, "width")])
 def test_non_finite_numbers_are_named(field, name, value):
-    planes = [np.array(array) for array in corridor()]
-    planes[field][2] = value
-    assert f"planes[2].{name} is " in refusal(*planes)
+    fields = [np.array(array) for array in corridor()]
+    fields[field][2] = value
+    assert f"planes[2].{name} is " in refusal(*fields)
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.9, 1.1, 1e200])
@@ -226,11 +272,67 @@ def test_millimetres_are_recognised(of_position, of_width):
 
 def test_a_building_far_from_the_origin_passes():
     position, normal, width = corridor()
-    validate_planes(position + np.array([5e5, 4.6e6, 100.0]), normal, width, "planes.json")
+    far = planes(position + np.array([5e5, 4.6e6, 100.0]), normal, width)
+    checked_observed(far, "planes.json")
 
 
 @pytest.mark.parametrize("field", [0, 1, 2])
 def test_a_field_of_another_length_is_refused(field):
-    planes = list(corridor())
-    planes[field] = planes[field][:2]
-    assert "has shape" in refusal(*planes)
+    fields = list(corridor())
+    fields[field] = fields[field][:2]
+    assert "has shape" in refusal_of(make_graph([PLANE] * 3, *fields))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"), [("position", (3, 2)), ("normal", (3, 2)), ("width", (3, 1))]
+)
+def test_a_field_of_another_width_is_refused(name, shape):
+    position, normal, width = corridor()
+    fields = {"position": position, "normal": normal, "width": width} | {name: np.ones(shape)}
+    message = refusal_of(make_graph([PLANE] * 3, **fields))
+    assert f"{name} has shape {list(shape)}, expected " in message
+
+
+@pytest.mark.parametrize("label", [-1, 6])
+def test_an_unknown_label_is_refused(label):
+    message = refusal_of(make_graph([PLANE, PLANE, label], *corridor()))
+    assert f"nodes[2].label is {label}, expected 0 to 5" in message
+
+
+def test_a_made_up_world_is_sound():
+    world = own_world.own_world()
+    validate_graph(world, WHERE)
+    assert checked_observed(world, WHERE) is world
+
+
+def test_nodes_of_a_made_up_world_are_counted_within_their_concept():
+    world, (pillar, other) = own_world.own_world(), (own_world.NUM_PLANES, own_world.NUM_PLANES + 1)
+    nowhere = with_node(world, position=((other, 1), np.nan))
+    assert "pillars[1].centroid is [6, nan, 1.2], expected finite numbers" in refusal_of(nowhere)
+    twice = with_node(world, position=(other, world.nodes.position[pillar]))
+    message = refusal_of(twice)
+    assert message.endswith("pillars[1] repeats pillars[0], expected a different centroid")
+    # A pillar has neither normal nor width: none is asked of it, and none may be there.
+    wide = with_node(world, width=(pillar, 1.0))
+    assert f"nodes[{pillar}].width is 1, expected zero: only planes have one" in refusal_of(wide)
+    turned = with_node(world, normal=((pillar, 0), 1.0))
+    assert f"nodes[{pillar}].normal is [1, 0, 0], expected zero" in refusal_of(turned)
+    millimetres = world._replace(nodes=world.nodes._replace(position=1000 * world.nodes.position))
+    assert "planes or pillars spans 12000" in refusal_of(millimetres)
+
+
+@pytest.mark.parametrize(
+    ("label", "held"), [([3], "no planes or pillars"), ([3, 1], "one pillar"), ([0], "one plane")]
+)
+def test_too_little_that_is_observed_is_refused(label, held):
+    facing = [[label == own_world.PLANE, 0, 0] for label in label]
+    width = [float(label == own_world.PLANE) for label in label]
+    position = np.arange(3.0 * len(label)).reshape(-1, 3)
+    few = make_graph(label, position, facing, width, ontology=own_world.ONTOLOGY)
+    assert f"planes or pillars holds {held}, expected at least two to group" in refusal_of(few)
+
+
+def test_pillars_alone_are_enough_to_grow_from():
+    position = np.array([[0.0, 0, 1], [4, 0, 1]])
+    pillars = make_graph([own_world.PILLAR] * 2, position, ontology=own_world.ONTOLOGY)
+    assert checked_observed(pillars, WHERE) is pillars

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PLANE, ROOM
 from sg3d_jax.scene.graph import SceneGraph, make_graph
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PLANE, ROOM
 
 NORMALS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
 SIDE = 8.0  # metres, of each floor of the city

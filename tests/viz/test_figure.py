@@ -7,11 +7,13 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from sg3d_jax.scene.ontology import CITY, FLOOR, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.ontology import CITY, FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 from sg3d_jax.viz.figure import contact_sheet, dataset_sheet, draw_graph, save_picture
-from sg3d_jax.viz.style import STYLES, lifted, plane_segments, project, view_of
+from sg3d_jax.viz.style import lifted, plane_segments, project, styles_of, view_of
 from tests.viz.small_city import one_room, small_city
+
+STYLES = styles_of(PAPER_ONTOLOGY)
 
 
 @pytest.fixture

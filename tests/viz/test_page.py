@@ -12,10 +12,10 @@ import numpy.testing as npt
 import plotly.graph_objects as go
 import pytest
 
-from sg3d_jax.scene.ontology import CONCEPTS, FLOOR, PLANE, ROOM
 from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM
 from sg3d_jax.viz.page import graph_traces, hover_text, save_page
-from sg3d_jax.viz.style import STYLES, lifted
+from sg3d_jax.viz.style import lifted, styles_of
 from tests.viz.small_city import FLOORS, one_room, small_city
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -156,11 +156,11 @@ def test_plotly_knows_every_property_of_the_traces_and_of_the_view(tmp_path):
 @pytest.mark.parametrize("graph", [one_room(), small_city()], ids=["room", "city"])
 def test_every_concept_is_a_layer_in_the_colour_and_place_of_the_pictures(graph):
     traces = graph_traces(graph)
-    for concept, name in enumerate(CONCEPTS):
+    for concept, name in enumerate(PAPER_ONTOLOGY.names):
         dots = layer(traces, name)
         rows = np.flatnonzero(graph.nodes.label == concept)
         assert dots["customdata"] == rows.tolist()
-        assert dots["marker"]["color"] == STYLES[concept].colour
+        assert dots["marker"]["color"] == styles_of(PAPER_ONTOLOGY)[concept].colour
         npt.assert_allclose(points_of(dots).reshape(-1, 3), lifted(graph)[rows], atol=1e-3)
 
 

@@ -1,17 +1,17 @@
 import numpy as np
 import numpy.testing as npt
 
-from sg3d_jax.scene.ontology import BUILDING, CONCEPTS, PLANE
-from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.graph import features_of, make_graph
+from sg3d_jax.scene.ontology import BUILDING, PAPER_ONTOLOGY, PLANE
 from sg3d_jax.scene.validate import validate_graph
 from sg3d_jax.viz.style import (
     AZIMUTH,
-    STYLES,
     crowding,
     floor_of,
     lifted,
     plane_segments,
     project,
+    styles_of,
     view_of,
 )
 from tests.viz.small_city import BUILDINGS, FLOORS, SIDE, TOP, one_room, small_city
@@ -26,7 +26,8 @@ def drawn_storeys(graph):
 def without_edges(graph, parent):
     pairs = np.stack([graph.senders, graph.receivers], axis=-1)[: len(graph.senders) // 2]
     kept = pairs[(pairs != parent).all(axis=-1)]
-    return make_graph(*graph.nodes[:4], part_of=kept)
+    nodes = graph.nodes.label, graph.nodes.position
+    return make_graph(*nodes, **features_of(graph), part_of=kept)
 
 
 def test_the_city_of_these_tests_is_sound():
@@ -43,7 +44,7 @@ def test_planes_are_segments_across_their_normal():
 
 def test_levels_are_lifted_apart():
     npt.assert_array_equal(lifted(one_room())[:, 2], [1, 1, 1, 3, 4])
-    assert [STYLES[concept].lift for concept in range(len(CONCEPTS))] == [0, 1, 2, 3, 4, 5]
+    assert [style.lift for style in styles_of(PAPER_ONTOLOGY)] == [0, 1, 2, 3, 4, 5]
 
 
 def test_lifts_grow_with_large_floors():

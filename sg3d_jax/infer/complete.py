@@ -1,0 +1,126 @@
+"""The one way in: scene graphs completed from host graphs, by any model."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sg3d_jax.fill.protocol import Params
+from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, HALT_REASONS
+from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.infer.candidates import medoids
+from sg3d_jax.infer.lanes import Finished, OneShot, complete_lanes
+from sg3d_jax.infer.prepare import Scene, finished, prepare
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
+
+INCOMPLETE = ("CAPACITY", "MAX_STEPS")  # halt reasons of graphs that did not come to their end
+
+
+class Completion(NamedTuple):
+    """A completed graph on the host."""
+
+    graph: SceneGraph  # unpadded, float64; what was given comes first, bit for bit
+    halt_reason: str  # HALTED: found complete; CAPACITY, MAX_STEPS: cut off; ONE_SHOT: did not grow
+    steps: int  # blocks inserted
+    num_given: int  # nodes that were given
+
+    @property
+    def observed(self) -> dict[str, np.ndarray]:
+        """The rows of the observed nodes by concept."""
+        return self._rows(lambda rows, observed: observed)
+
+    @property
+    def kept(self) -> dict[str, np.ndarray]:
+        """The rows of other nodes that were given, by concept; empty unless asked to keep them."""
+        return self._rows(lambda rows, observed: ~observed & (rows < self.num_given))
+
+    @property
+    def grown(self) -> dict[str, np.ndarray]:
+        """The rows of the grown nodes by concept."""
+        return self._rows(lambda rows, observed: rows >= self.num_given)
+
+    def _rows(
+        self, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """Returns the chosen rows of each concept that has any, bottom-up."""
+        nodes, names = self.graph.nodes, ontology_of(self.graph).names
+        chosen = choose(np.arange(len(nodes.label)), nodes.observed)
+        return {
+            name: np.flatnonzero(chosen & (nodes.label == label))
+            for label, name in enumerate(names)
+            if (chosen & (nodes.label == label)).any()
+        }
+
+
+def complete(
+    model: Flagg | OneShot,
+    params: Params,
+    scenes: Sequence[SceneGraph],
+    seed: int = 0,
+    samples: int = 1,
+    candidates: int = 1,
+    keep: bool = False,
+    lanes: int | None = None,
+    max_steps: int = DEFAULT_MAX_STEPS,
+    names: Sequence[str] | None = None,
+) -> list[list[Completion]]:
+    """Completes scene graphs from host graphs, in compiled batches.
+
+    Args:
+      model: of any method.
+      params: its parameters.
+      scenes: host graphs of any size, such as `sg.planes` or `sg.read_graphs` gives. Of each the
+        observed nodes are taken; MiDi+Or also counts the others.
+      seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
+      samples: graphs a scene.
+      candidates: graphs that are drawn for each of them; their medoid under FGW is kept.
+      keep: take all nodes and part-of edges of a scene as given, such as rooms that are known, and
+        grow on from there.
+      lanes: scenes grown together in one call; None for as many as suit. Results do not depend on
+        it.
+      max_steps: a limit on the number of blocks.
+      names: what a refusal calls each scene, such as "planes.jsonl: line 3".
+
+    Returns:
+      For every scene, in order, its samples.
+
+    Raises:
+      ValueError: one sentence that names the scene, the node, the field and what was expected: a
+        scene without planes, numbers that are none, wrong shapes; a model that cannot keep; numbers
+        out of range.
+    """
+    for name, value in (("samples", samples), ("candidates", candidates), ("lanes", lanes or 1)):
+        if value < 1:
+            raise ValueError(f"{name} is {value}, expected at least 1")
+    if keep and not isinstance(model, Flagg):
+        raise ValueError("keep: this model completes planes alone, expected one that grows")
+    prepared = prepare(scenes, model.ontology, keep, names)
+    drawn = complete_lanes(model, params, prepared, seed, samples * candidates, max_steps, lanes)
+    completions = [
+        [_completion(scene, result) for result in results]
+        for scene, results in zip(prepared, drawn, strict=True)
+    ]
+    return completions if candidates == 1 else _chosen(completions, candidates)
+
+
+def share_halted(completions: Sequence[Completion]) -> float | None:
+    """Returns the share of graphs that a growing model found complete; None for other models."""
+    reasons = [completion.halt_reason for completion in completions]
+    return None if "ONE_SHOT" in reasons else reasons.count("HALTED") / len(reasons)
+
+
+def _completion(scene: Scene, result: Finished) -> Completion:
+    graph, reason = finished(scene, result.graph), HALT_REASONS[result.halt_reason]
+    return Completion(graph, reason, result.steps, len(scene.given.nodes.label))
+
+
+def _chosen(completions: list[list[Completion]], candidates: int) -> list[list[Completion]]:
+    """Keeps the medoid of each so many samples."""
+    groups = [
+        of_scene[start : start + candidates]
+        for of_scene in completions
+        for start in range(0, len(of_scene), candidates)
+    ]
+    medoid = medoids([[one.graph for one in group] for group in groups])
+    kept = iter([group[index] for group, index in zip(groups, medoid, strict=True)])
+    return [[next(kept) for _ in range(len(one) // candidates)] for one in completions]

@@ -1,0 +1,207 @@
+"""Many scenes in compiled batches: buckets by size, lanes of a batch, one key a sample.
+
+What a lane makes of its scene does not depend on the other lanes, nor on how many there are.
+"""
+
+import operator
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Key
+
+from sg3d_jax.fill.protocol import Params, Terms
+from sg3d_jax.flagg.grow import CAPACITY, Grown, grow_lanes
+from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.infer.prepare import Scene
+from sg3d_jax.scene.graph import PackedGraph, SceneGraph
+from sg3d_jax.scene.ontology import Ontology
+from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity, bucket, stack, unpad
+
+# Scenes grown together: constant in a bucket, so that there is one compilation of each. Four reach
+# the rate of 32, on two cores, and a scene alone pays for few.
+LANES = 4
+LANE_NODES = 1024
+WORD = 32  # bits of a seed that JAX takes at once
+
+
+class Model(Protocol):
+    """What can be trained and completes scenes. It is hashed by what it is built from."""
+
+    @property
+    def ontology(self) -> Ontology:
+        """The concepts of its graphs."""
+        ...
+
+    def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
+        """Draws initial parameters, given any complete padded graph with proximity edges."""
+        ...
+
+    def loss(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the loss of a training step on one such graph, and its terms."""
+        ...
+
+
+@runtime_checkable
+class OneShot(Model, Protocol):
+    """A model that completes a scene at once, and not by growing it."""
+
+    def capacity(self, num_observed: int, num_missing: int) -> Capacity:
+        """Returns the bucket of a scene."""
+        ...
+
+    def complete_lanes(
+        self,
+        params: Params,
+        keys: Key[Array, " B"],
+        given: PackedGraph,
+        num_missing: Int[Array, " B"],
+    ) -> Grown:
+        """Completes a stack of observed nodes; an oracle says how many others there are."""
+        ...
+
+
+class Job(NamedTuple):
+    """One sample of one scene, as far as it has come."""
+
+    scene: int
+    sample: int
+    graph: SceneGraph  # host graph, centred: what is given, and what was grown in a smaller bucket
+    steps: int  # blocks inserted so far
+
+
+class Finished(NamedTuple):
+    """What became of a job, on the host."""
+
+    graph: SceneGraph  # centred; what was given comes first
+    halt_reason: int
+    steps: int
+
+
+def root_key(seed: int) -> Key[Array, ""]:
+    """Returns the key of a seed of any size; seeds below 2^32 are those of `jax.random.key`.
+
+    Raises:
+      ValueError: the seed is negative.
+    """
+    if seed < 0:
+        raise ValueError(f"the seed is {seed}, expected 0 or more")
+    key = jax.random.key(np.uint32(seed % 2**WORD))
+    while seed := seed >> WORD:
+        key = jax.random.fold_in(key, np.uint32(seed % 2**WORD))
+    return key
+
+
+def sample_keys(seed: int, scenes: Sequence[int], samples: Sequence[int]) -> Key[Array, " B"]:
+    """Returns a key for each (scene, sample) pair, so that neither batch nor count changes any."""
+
+    def one(scene: Array, sample: Array) -> Key[Array, ""]:
+        return jax.random.fold_in(jax.random.fold_in(root_key(seed), scene), sample)
+
+    return jax.vmap(one)(jnp.asarray(scenes, jnp.uint32), jnp.asarray(samples, jnp.uint32))
+
+
+def growth_capacity(num_observed: int, num_given: int = 0) -> Capacity:
+    """Returns the bucket in which a scene begins to grow: room for 0.8 nodes a plane, and eight.
+
+    Floors of the benchmark need 0.6 new nodes a plane, cities 0.64 and at most 0.76. A graph that
+    outgrows it goes on in the next.
+
+    Args:
+      num_observed: observed nodes.
+      num_given: all nodes that are given; 0 for the observed ones alone.
+    """
+    return bucket(max(int(1.8 * num_observed), num_given) + 8)
+
+
+def num_lanes(capacity: Capacity) -> int:
+    """Returns how many scenes of a bucket are grown together by default."""
+    return max(1, min(LANES, LANE_NODES // capacity.nodes))
+
+
+def complete_lanes(
+    model: Flagg | OneShot,
+    params: Params,
+    scenes: Sequence[Scene],
+    seed: int,
+    samples: int,
+    max_steps: int,
+    lanes: int | None = None,
+) -> list[list[Finished]]:
+    """Completes prepared scenes in batches of one size.
+
+    Args:
+      model: grows, or completes at once.
+      params: its parameters.
+      scenes: of `prepare`.
+      seed: of `sample_keys`.
+      samples: graphs a scene.
+      max_steps: a limit on the number of blocks.
+      lanes: scenes grown together; None for `num_lanes`. The results do not depend on it.
+
+    Returns:
+      For every scene, in order, its samples.
+    """
+    waiting: dict[Capacity, list[Job]] = {}
+    for number, scene in enumerate(scenes):
+        jobs = [Job(number, sample, scene.centred, 0) for sample in range(samples)]
+        waiting.setdefault(_capacity(model, scene), []).extend(jobs)
+    finished: dict[tuple[int, int], Finished] = {}
+    while waiting:
+        capacity = min(waiting)
+        jobs, width = waiting.pop(capacity), lanes or num_lanes(capacity)
+        # Neighbours in a batch are of like size, so that they need like numbers of steps.
+        jobs.sort(key=lambda job: len(job.graph.nodes.label))
+        for first in range(0, len(jobs), width):
+            batch = jobs[first : first + width]
+            padded = [*batch, *[batch[-1]] * (width - len(batch))]  # idle lanes repeat the last
+            missing = [scenes[job.scene].num_missing for job in padded]
+            results = _run(model, params, padded, missing, capacity, seed, max_steps)
+            for job, result in zip(batch, results, strict=False):
+                if result.halt_reason == CAPACITY and capacity.nodes < NODE_CAPACITIES[-1]:
+                    larger = bucket(capacity.nodes + 1)
+                    later = Job(job.scene, job.sample, result.graph, result.steps)
+                    waiting.setdefault(larger, []).append(later)
+                else:
+                    finished[job.scene, job.sample] = result
+    return [[finished[scene, s] for s in range(samples)] for scene in range(len(scenes))]
+
+
+def _capacity(model: Flagg | OneShot, scene: Scene) -> Capacity:
+    """Returns the bucket in which a scene begins."""
+    nodes = scene.given.nodes
+    num_observed = int(np.sum(nodes.observed))
+    if isinstance(model, OneShot):
+        return model.capacity(num_observed, scene.num_missing)
+    return growth_capacity(num_observed, len(nodes.label))
+
+
+def _run(
+    model: Flagg | OneShot,
+    params: Params,
+    jobs: Sequence[Job],
+    num_missing: Sequence[int],
+    capacity: Capacity,
+    seed: int,
+    max_steps: int,
+) -> list[Finished]:
+    """Runs the jobs of one batch in one call."""
+    keys = sample_keys(seed, [job.scene for job in jobs], [job.sample for job in jobs])
+    given = stack([job.graph for job in jobs], capacity)
+    if isinstance(model, Flagg):
+        steps = jnp.asarray([job.steps for job in jobs], jnp.int32)
+        nodes = given.nodes  # a graph of observed nodes alone is not asked about: one program less
+        ask_first = bool(jnp.any(nodes.mask & ~nodes.observed & (steps == 0)[:, None]))
+        grown = grow_lanes(model, params, keys, given, steps, max_steps, ask_first)
+    else:
+        grown = model.complete_lanes(params, keys, given, jnp.asarray(num_missing, jnp.int32))
+    grown = jax.tree.map(np.asarray, grown)
+    return [_unstacked(jax.tree.map(operator.itemgetter(i), grown)) for i in range(len(jobs))]
+
+
+def _unstacked(grown: Any) -> Finished:
+    return Finished(unpad(grown.graph), int(grown.halt_reason), int(grown.steps))
