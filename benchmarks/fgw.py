@@ -32,8 +32,8 @@ from sg3d_jax.data import registry
 from sg3d_jax.metrics.fgw import fgw, fgw_pairs
 from sg3d_jax.metrics.fgw_problem import ALPHA, pose
 from sg3d_jax.metrics.frank_wolfe import from_assignment, minimise
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE
-from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
+from sg3d_jax.scene.graph import SceneGraph, make_graph, ontology_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF
 from sg3d_jax.scene.padding import bucket, pad, stack
 
 RESULTS: Final = Path(__file__).parent / "results" / "fgw.json"
@@ -62,27 +62,26 @@ def blurred(
 ) -> SceneGraph:
     """Errs as a model does: noise, a share of wrong labels and lost edges, often a node less."""
     label, position = graph.nodes.label.copy(), graph.nodes.position.copy()
-    new = np.flatnonzero(label != PLANE)
+    new = np.flatnonzero(~graph.nodes.observed)
     position[new] += rng.normal(scale=metres, size=(len(new), 3))
     wrong = new[rng.random(len(new)) < share]
-    label[wrong] = rng.integers(1, NUM_CONCEPTS, len(wrong))
+    label[wrong] = rng.choice(np.flatnonzero(~ontology_of(graph).is_observed), len(wrong))
     pairs = undirected_edges(graph, PART_OF)
     size = len(label) - int(rng.integers(2))
     kept = (pairs < size).all(axis=1) & (rng.random(len(pairs)) > share)
-    no_normals, no_widths = np.zeros((size, 3)), np.zeros(size)
-    return make_graph(label[:size], position[:size], no_normals, no_widths, pairs[kept])
+    return make_graph(label[:size], position[:size], part_of=pairs[kept])
 
 
 def costs(generated: SceneGraph, truth: SceneGraph) -> Costs:
     """Returns feature distances and both hop matrices, dummies included, and the longest path."""
-    planes = truth.nodes.position[truth.nodes.label == PLANE]
-    spread = np.sqrt(planes[:, :2].var(axis=0).mean())
+    observed = truth.nodes.position[truth.nodes.observed]
+    spread = np.sqrt(observed[:, :2].var(axis=0).mean())
     size = max(len(graph.nodes.label) for graph in (generated, truth))
-    features = np.zeros((2, size, 3 + NUM_CONCEPTS))
+    features = np.zeros((2, size, 3 + ontology_of(truth).num_concepts))
     hops, longest = np.zeros((2, size, size)), 1.0
     for row, matrix, graph in zip(features, hops, (generated, truth), strict=True):
         count = len(graph.nodes.label)
-        row[:count, :3] = (graph.nodes.position - planes.mean(axis=0)) / spread
+        row[:count, :3] = (graph.nodes.position - observed.mean(axis=0)) / spread
         row[np.arange(count), 3 + graph.nodes.label] = 1.0
         links = np.zeros((count, count))
         links[tuple(undirected_edges(graph, PART_OF).T)] = 1.0
@@ -239,7 +238,7 @@ def memory(size: str) -> dict[str, float]:
     pair = blurred(np.random.default_rng(0), largest), largest
     capacity = bucket(len(largest.nodes.label))
     sides = [jax.tree.map(lambda leaf: leaf[0], stack([graph], capacity)) for graph in pair]
-    use: Any = fgw.lower(*sides).compile().memory_analysis()
+    use: Any = jax.jit(fgw).lower(*sides).compile().memory_analysis()
     tracemalloc.start()
     score_with_pot(pair)
     _, peak = tracemalloc.get_traced_memory()

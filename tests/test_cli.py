@@ -15,11 +15,11 @@ import pytest
 import sg3d_jax
 from sg3d_jax import __version__
 from sg3d_jax.data import registry
+from sg3d_jax.flagg.grow import HALT_REASONS
+from sg3d_jax.infer import complete as completing
 from sg3d_jax.io.formats import read_graphs, write_graphs
-from sg3d_jax.flagg import sample
 from sg3d_jax.metrics.paper import SCORES
-from sg3d_jax.scene.ontology import CONCEPTS
-from sg3d_jax.train import methods, models
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.train import weights as weights_module
 from tests.command_line import (
     SCENES,
@@ -66,12 +66,12 @@ def test_planes_become_a_graph_and_a_picture(weights, capsys):
     num_planes = len(SCENES[0]["planes"])
     assert {node["label"] for node in nodes[:num_planes]} == {"plane"}
     for node in nodes[num_planes:]:
-        assert node["label"] in CONCEPTS[1:]
+        assert node["label"] in PAPER_ONTOLOGY.names[1:]
         assert node["normal"] is None
         assert node["width"] is None
         assert np.isfinite(node["position"]).all()
     assert all(0 <= end < len(nodes) for edge in document["edges"] for end in edge)
-    assert document["halt_reason"] in sample.HALT_REASONS[1:]
+    assert document["halt_reason"] in HALT_REASONS[1:]
     assert document["seed"] == 5
     assert document["weights"] == weights
     with open("graph.png", "rb") as file:
@@ -131,8 +131,8 @@ def test_one_scene_may_go_to_json_lines(weights):
 
 
 def test_a_graph_that_did_not_come_to_its_end_is_warned_of(weights, capsys, monkeypatch):
-    grown = sample.Completion(small_floors()[0], "CAPACITY", 3)
-    monkeypatch.setattr(models, "complete", lambda *arguments: [[grown]])
+    grown = completing.Completion(small_floors()[0], "CAPACITY", 3, 4)
+    monkeypatch.setattr(completing, "complete", lambda *arguments, **options: [[grown]])
     run("complete", write("a.json", SCENES[0]), "-o", "graph.json", "--weights", weights)
     warning = "sg3d: warning: scene 0 sample 0 stopped by CAPACITY, so its graph is incomplete\n"
     assert capsys.readouterr().err == warning

@@ -8,15 +8,16 @@ import os
 import jax
 import pytest
 
+from sg3d_jax.infer import complete as completing
 from sg3d_jax.io.formats import read_graphs, write_graphs
 from sg3d_jax.metrics import report
 from sg3d_jax.metrics.fgw import FGW
-from sg3d_jax.scene.ontology import FLOOR, PLANE
 from sg3d_jax.scene.graph import observed_of
-from sg3d_jax.train import loop, methods, models
+from sg3d_jax.scene.ontology import FLOOR, PLANE
+from sg3d_jax.train import evaluation, loop
 from sg3d_jax.train import weights as weights_module
 from sg3d_jax.train.config import to_json
-from sg3d_jax.train.methods import GROWING, METHODS
+from sg3d_jax.train.methods import METHODS
 from sg3d_jax.train.weights import load_weights
 from sg3d_jax.viz import figure
 from tests.command_line import SCENES, documents, observed, refusal, run, write
@@ -41,7 +42,7 @@ def _no_check_of_key_reuse():
 @pytest.fixture(autouse=True)
 def _workplace(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for module in (weights_module, methods):
+    for module in (weights_module, evaluation):
         monkeypatch.setattr(module, "load_weights", load_once)
 
 
@@ -101,7 +102,7 @@ def test_weights_are_evaluated_by_the_name_of_their_method(weights, scored):
         result = json.load(file)
     assert (result["method"], result["weights"], result["data"]) == (method, path, "floors")
     assert result["diffusion_steps"] == (None if method.startswith("ec") else 2)
-    assert ("halted" in result["scores"]) == (METHODS[method].kind is GROWING)
+    assert ("halted" in result["scores"]) == METHODS[method].grows
     assert (FLOOR in truth.nodes.label) == (not method.startswith("ec"))
     if method == "midi-or":
         assert len(made.nodes.label) == len(truth.nodes.label)
@@ -116,7 +117,7 @@ def test_planes_are_completed_by_every_method(weights):
     (made,) = read_graphs("graph.jsonl")
     num_planes = (graph.nodes.label == PLANE).sum()
     assert made.nodes.position[:num_planes].tolist() == graph.nodes.position[:num_planes].tolist()
-    assert (document["halt_reason"] == "ONE_SHOT") == (METHODS[method].kind is not GROWING)
+    assert (document["halt_reason"] == "ONE_SHOT") == (not METHODS[method].grows)
 
 
 def test_planes_alone_do_not_tell_an_oracle_how_many_nodes_there_are(weights, capsys):
@@ -146,7 +147,7 @@ def test_the_medoid_of_several_candidates_is_kept(folder, scored, monkeypatch):
         chosen.extend(candidates)
         return [len(graphs) - 1 for graphs in candidates]
 
-    monkeypatch.setattr(models, "medoids", last)
+    monkeypatch.setattr(completing, "medoids", last)
     run("evaluate", path, "--num-graphs", 1, "--candidates", 2, "-o", "a.json")
     ((_, second),) = chosen
     assert scored[0][0] is second
@@ -169,22 +170,22 @@ def test_candidates_are_refused_where_there_are_none(folder, capsys):
 def test_edge_classifiers_are_refused_more_than_a_floor(method, folder, capsys):
     for data, top in (("s-c", "city"), ("r-b", "building")):
         line = refusal(capsys, "evaluate", untrained(folder, method), "--data", data)
-        assert line.startswith(f"{data} reaches up to a {top}, expected single floors")
+        assert line.startswith(f"{data} reaches up to a {top}, expected a floor at most")
 
 
 def test_a_name_is_a_method_on_a_data_set(monkeypatch):
     loaded = []
-    monkeypatch.setattr(methods, "names", lambda: ["ec-square-s-f-square", "fd4-s-f"])
-    monkeypatch.setattr(methods, "load_weights", lambda name: loaded.append(name) or FD4)
+    monkeypatch.setattr(evaluation, "names", lambda: ["ec-square-s-f-square", "fd4-s-f"])
+    monkeypatch.setattr(evaluation, "load_weights", lambda name: loaded.append(name) or FD4)
     for name, weights, data in (
         ("fd4-s-f", "fd4-s-f", "s-f"),
         ("ec-square-s-f-square", "ec-square-s-f-square", "s-f-square"),
         ("ec-square-s-f", "ec-square-s-f-square", "s-f"),  # trained once
         ("ec-square-p-f", "ec-square-s-f-square", "p-f"),
     ):
-        method = methods.load_method(name)
+        method = evaluation.load_contender(name)
         assert (loaded.pop(), method.weights, method.data.name) == (weights, weights, data)
-        assert methods.load_method(name, "a.npz").data.name == "a.npz"
+        assert evaluation.load_contender(name, "a.npz").data.name == "a.npz"
 
 
 @pytest.mark.parametrize("name", ["fd4-m-f", "midi-r-c", "midi-or-m-f"])

@@ -32,12 +32,12 @@ PART_OF_PAIRS: Final = [
     *[(9, 11), (10, 11)],
 ]
 STATISTICS: Final = Statistics(
-    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
-    block_edge=jnp.asarray([0.7, 0.3]),
-    cross_edge=jnp.asarray([0.6, 0.4]),
-    distance_mean=jnp.float32(2),
-    distance_std=jnp.float32(0.5),
-    position_std=jnp.float32(2.5),
+    label=(0.0, 0.4, 0.4, 0.2, 0.0, 0.0),
+    block_edge=(0.7, 0.3),
+    cross_edge=(0.6, 0.4),
+    distance_mean=2.0,
+    distance_std=0.5,
+    position_std=2.5,
 )
 NO_GATES: Final = Gates(jnp.zeros((0, 0)), jnp.zeros(0, int), jnp.zeros(0, int), None)
 WEST, EAST = (0.0, 4.0, 0.0, 3.0), (4.2, 9.0, 0.1, 3.4)  # x and y of both rooms, metres

@@ -1,6 +1,6 @@
 """What every Fill model is, and what it must know of the data."""
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
@@ -40,6 +40,8 @@ class Statistics(NamedTuple):
         return Marginals(*(jnp.asarray(field, jnp.float32) for field in self[:3]))
 
 
+@runtime_checkable
+@runtime_checkable
 class Fill(Protocol):
     """A Fill model: three pure functions on one padded graph; `vmap` them for a batch.
 

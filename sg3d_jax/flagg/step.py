@@ -62,18 +62,22 @@ class Growth(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Flagg:
-    """A model that grows: a Fill model with Insert and Halt around it.
+    """A model that grows: a Fill model with Insert and Halt around it; see `make_flagg`.
 
     Attributes:
       config: how it grows.
-      fill: what it grows by.
+      insert: how many nodes come next.
+      fill: what they are.
+      halt: whether the graph is complete.
 
     Raises:
       ValueError: the order of the layers is none of the concepts of the Fill model.
     """
 
     config: FlaggConfig
+    insert: Insert
     fill: Fill
+    halt: Halt
 
     def __post_init__(self) -> None:
         """Refuses an order of other concepts."""
@@ -83,16 +87,6 @@ class Flagg:
     def ontology(self) -> Ontology:
         """The concepts."""
         return self.fill.ontology
-
-    @property
-    def insert(self) -> Insert:
-        """How many nodes come next."""
-        return Insert(self.config.width, self.config.depth, len(self.config.coins))
-
-    @property
-    def halt(self) -> Halt:
-        """Whether the graph is complete."""
-        return Halt(self.config.width, self.config.depth)
 
     def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
         """Draws initial parameters; `graph` is any padded graph."""
@@ -150,6 +144,12 @@ class Flagg:
         """Returns Halt's decision on a padded graph."""
         logit = self.halt.logit(params.halt, graph)
         return draw_halt(key, logit, self.config.halt_by_threshold)
+
+
+def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
+    """Puts Insert and Halt, of the sizes of a configuration, around a Fill model."""
+    insert = Insert(config.width, config.depth, len(config.coins))
+    return Flagg(config, insert, fill, Halt(config.width, config.depth))
 
 
 def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph) -> Cut:

@@ -27,6 +27,7 @@ LANE_NODES = 1024
 WORD = 32  # bits of a seed that JAX takes at once
 
 
+@runtime_checkable
 class Model(Protocol):
     """What can be trained and completes scenes. It is hashed by what it is built from."""
 

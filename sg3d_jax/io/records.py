@@ -53,8 +53,11 @@ def features_in(values: Mapping[str, Any], where: str) -> dict[str, float | list
     Raises:
       ValueError: one of them is not as many numbers as `FEATURES` says.
     """
-    held = [(name, value) for name in FEATURES if (value := values.get(name)) is not None]
-    return {name: feature(name, value, f"{where}.{name}") for name, value in held}
+    features = {}
+    for name in _ZERO:
+        if (value := values.get(name)) is not None:
+            features[name] = feature(name, value, f"{where}.{name}")
+    return features
 
 
 def graph_of(

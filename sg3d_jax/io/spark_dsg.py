@@ -14,6 +14,7 @@ Differs: a plane with a wall and a room has two parents, which Spark-DSG stores 
 instead, so that every node has at most one parent.
 """
 
+import functools
 from collections.abc import Mapping
 from typing import Any, Final, Literal, NamedTuple
 
@@ -87,7 +88,7 @@ def graph_to_spark_dsg(
     hidden = np.zeros(len(part_of), bool)
     if walls == "metadata":
         hidden = _any_number(ontology)[tuple(label[part_of].T)]
-    kept = _kept_wholes(ontology)
+    kept = dict(_kept_wholes(ontology))
     wholes: dict[int, dict[str, list[int]]] = {}
     for whole, part in part_of[hidden].tolist():
         wholes.setdefault(part, {}).setdefault(kept[label[whole]], []).append(ids[whole])
@@ -164,10 +165,11 @@ def _any_number(ontology: Ontology) -> np.ndarray:
     return table
 
 
-def _kept_wholes(ontology: Ontology) -> dict[int, str]:
-    """Returns the keys under which metadata may keep wholes, by label of the whole."""
+@functools.lru_cache
+def _kept_wholes(ontology: Ontology) -> tuple[tuple[int, str], ...]:
+    """Returns the labels of the wholes that metadata may keep, and under which keys."""
     labels = np.flatnonzero(_any_number(ontology).any(axis=1)).tolist()
-    return {label: ontology.concepts[label].layer.lower() for label in labels}
+    return tuple((label, ontology.concepts[label].layer.lower()) for label in labels)
 
 
 def _node_records(
@@ -305,7 +307,7 @@ def _node(
     record: Any,
     layers: Mapping[tuple[int, int], str],
     labels: Mapping[str, int],
-    kept: Mapping[int, str],
+    kept: tuple[tuple[int, str], ...],
     where: str,
 ) -> _Node:
     label = _label(record, layers, labels, where)
@@ -318,11 +320,10 @@ def _node(
     metadata, inside = _metadata(attributes, inside), f"{inside}.metadata"
     features = features_in(metadata, inside)
     wholes: dict[int, list[int]] = {}
-    for whole, name in kept.items():
-        named = metadata.get(name)
-        if not isinstance(named, (list, type(None))):
-            raise ValueError(f"{inside}.{name} is {named!r:.40}, expected a list of node ids")
-        if named:
+    for whole, name in kept:
+        if (named := metadata.get(name)) is not None:
+            if not isinstance(named, list):
+                raise ValueError(f"{inside}.{name} is {named!r:.40}, expected a list of node ids")
             wholes[whole] = named
     return _Node(_integer(record, "id", where), Record(label, position, features), wholes)
 

@@ -3,12 +3,17 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+import tyro
 
 from sg3d_jax.fill.fd4 import FD4Config
 from sg3d_jax.flagg.step import FlaggConfig
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology, ontology_from_dict
 from sg3d_jax.train.methods import METHODS, method_of
+
+T = TypeVar("T")
+NoOption = Annotated[T, tyro.conf.Fixed, tyro.conf.Suppress]  # said in a file, not at the shell
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Config:
     """One run. Together with the code it determines every parameter, bit for bit."""
 
     data: DataConfig = DataConfig()
-    ontology: Ontology = PAPER_ONTOLOGY  # the concepts of the data
+    ontology: NoOption[Ontology] = PAPER_ONTOLOGY  # the concepts of the data
     model: Any = FD4Config()  # the numbers of the model: the configuration of a method
     flagg: FlaggConfig | None = FlaggConfig()  # how it grows; None for models that do not
     optimiser: OptimiserConfig = OptimiserConfig()

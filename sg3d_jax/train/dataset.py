@@ -10,6 +10,7 @@ from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
 from sg3d_jax.nn.kin import kin_slots
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph, ontology_of
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology
 from sg3d_jax.scene.padding import Capacity, stack
 from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
@@ -31,15 +32,16 @@ def load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph]
         apply to them.
     """
     name = config.name
-    if (spec := registry.DATASETS.get(name)) and spec.config is None:
-        raise ValueError(
-            f"{name} is made of a file that you have, expected the npz file that "
-            f"`sg3d data import {name} FILE -o {name}.npz` writes, as --data or --data.name"
-        )
+    if spec := registry.DATASETS.get(name):
+        _check_top(name, spec.top, PAPER_ONTOLOGY, methods)
+        if spec.config is None:
+            raise ValueError(
+                f"{name} is made of a file that you have, expected the npz file that "
+                f"`sg3d data import {name} FILE -o {name}.npz` writes, as --data or --data.name"
+            )
     graphs, header = registry.load(name, config.num_graphs, config.seed)
-    for method in methods:
-        if method in METHODS:
-            _check_targets(name, graphs, method)
+    for graph in graphs:
+        _check_top(name, int(graph.nodes.label.max()), ontology_of(graph), methods)
     if part == "all":
         return graphs
     chosen = getattr(split_of(header, len(graphs), config.split_seed), part)
@@ -48,13 +50,15 @@ def load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph]
     return [graphs[i] for i in chosen]
 
 
-def _check_targets(name: str, graphs: Sequence[SceneGraph], method: str) -> None:
-    """Refuses a data set with a graph that a method cannot complete."""
-    for index, graph in enumerate(graphs):
-        try:
-            METHODS[method].target(graph)
-        except ValueError as error:
-            raise ValueError(f"{name}: graph {index}: {method}: {error}") from error
+def _check_top(name: str, top: int, ontology: Ontology, methods: Sequence[str]) -> None:
+    """Refuses a data set whose highest concept is above those of a method."""
+    for method in methods:
+        highest = METHODS[method].top if method in METHODS else None
+        if highest is not None and top > highest:
+            raise ValueError(
+                f"{name} reaches up to a {ontology.names[top]}, expected a "
+                f"{ontology.names[highest]} at most, because {method} knows nothing above"
+            )
 
 
 def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> list[PackedGraph]:

@@ -22,7 +22,7 @@ from sg3d_jax.fill.fd4 import FD4, FD4Config
 from sg3d_jax.fill.midi import MiDi, MiDiConfig
 from sg3d_jax.fill.protocol import Fill, Params, Statistics
 from sg3d_jax.flagg import step
-from sg3d_jax.flagg.step import Flagg, FlaggConfig
+from sg3d_jax.flagg.step import FlaggConfig, make_flagg
 from sg3d_jax.infer.lanes import Model
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.ontology import Ontology
@@ -45,6 +45,7 @@ class Method(NamedTuple):
       home: the data set whose configuration is taken for sets that have none of their own; None
         where every run has its own file.
       trained_at_home: whether one training serves all data sets.
+      top: the label of the highest concept that it can be trained and scored on; None for any.
       target: (true host graph) -> what of it is to be completed; refuses what it cannot be.
     """
 
@@ -56,6 +57,7 @@ class Method(NamedTuple):
     steps: str | None = None
     home: str | None = None
     trained_at_home: bool = False
+    top: int | None = None
     target: Callable[[SceneGraph], SceneGraph] = lambda graph: graph
 
 
@@ -77,7 +79,7 @@ def _growing(
     """Returns the method that grows by a Fill model."""
 
     def make(config: Any, flagg: Any, statistics: Any, ontology: Ontology) -> Model:
-        return Flagg(flagg, make_fill(config, statistics, ontology))
+        return make_flagg(flagg, make_fill(config, statistics, ontology))
 
     return Method(config, make, _measure_cuts, Statistics, grows=True, steps=steps, home=home)
 
@@ -92,6 +94,7 @@ def _classifying(config: type, make: Callable[[Any, Scales], Model], home: str) 
         grows=False,
         home=home,
         trained_at_home=True,
+        top=edge_classifier.TOP,
         target=edge_classifier.target,
     )
 

@@ -170,12 +170,12 @@ def _add_lines(axes: Axes, ends: np.ndarray, colour: str, width: float, zorder: 
 
 def _add_legend(figure: Figure, graphs: Sequence[SceneGraph]) -> None:
     """Adds one legend of the concepts that occur, in their order, below everything."""
-    present = {
-        (label, ontology_of(graph).names[label]): _handle(ontology_of(graph), label)
-        for graph in graphs
-        for label in np.unique(graph.nodes.label).tolist()
-    }
-    handles = [present[key] for key in sorted(present)]
+    present: dict[str, tuple[int, Line2D]] = {}
+    for graph in graphs:
+        for label in np.unique(graph.nodes.label).tolist():
+            name = ontology_of(graph).names[label]
+            present.setdefault(name, (label, _handle(ontology_of(graph), label)))
+    handles = [handle for _, handle in sorted(present.values(), key=lambda pair: pair[0])]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 

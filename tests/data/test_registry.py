@@ -5,12 +5,15 @@ import json
 import numpy as np
 import pytest
 
+from sg3d_jax import cli
 from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
 from sg3d_jax.io import npz
 from sg3d_jax.io.formats import write_graphs
+from sg3d_jax.scene.graph import ontology_of
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.scene.validate import validate_graph
+from tests.own_world import ONTOLOGY, own_world
 
 GENERATED = [name for name, spec in registry.DATASETS.items() if spec.config is not None]
 FROM_FILES = [name for name, spec in registry.DATASETS.items() if spec.config is None]
@@ -115,3 +118,87 @@ def test_graphs_that_break_the_hierarchy_are_no_data_set(tmp_path):
     write_graphs(tmp_path / "broken.jsonl", [broken])
     with pytest.raises(ValueError, match=r"graph 0: edge .* joins wall and room as part_of"):
         registry.load(tmp_path / "broken.jsonl")
+
+
+# --- data sets of the user's own ---
+
+
+@pytest.mark.parametrize("name", ["flats", "s-g", "S-F", "my set.v2"])
+def test_graphs_of_any_format_may_be_filed_under_any_name(name, tmp_path):
+    graphs = registry.make("s-f", 2) + registry.make("s-c", 1)  # of several levels
+    write_graphs(tmp_path / "mine.jsonl", graphs)
+    made, header = registry.import_file(name, tmp_path / "mine.jsonl")
+    assert header == {"name": name, "source": "The user's own file.", "file": "mine.jsonl"}
+    for one, other in zip(made, graphs, strict=True):
+        np.testing.assert_array_equal(one.nodes.position, other.nodes.position)
+    npz.save(tmp_path / "mine.npz", made, header)
+    assert len(registry.load(tmp_path / "mine.npz").graphs) == 3
+
+
+def test_a_set_of_the_user_s_own_may_have_an_ontology_of_its_own(tmp_path):
+    write_graphs(tmp_path / "flats.json", [own_world()])
+    dataset = registry.import_file("flats", tmp_path / "flats.json")
+    npz.save(tmp_path / "flats.npz", *dataset)
+    (graph,) = registry.load(tmp_path / "flats.npz").graphs
+    assert ontology_of(graph) == ONTOLOGY
+    with pytest.raises(ValueError, match="graph 0 has another ontology, expected the paper's"):
+        registry.import_file("flats", tmp_path / "flats.json", like="r-f")
+    with pytest.raises(ValueError, match="graph 0 has another ontology, expected the paper's"):
+        registry.import_file("s-f", tmp_path / "flats.json")
+
+
+def test_a_file_is_read_as_those_of_the_set_that_it_is_like(tmp_path):
+    rooms = [[[x, 0], [x + 3, 0], [x + 3, 4], [x, 4]] for x in (0.0, 3.1, 6.2)]
+    lines = [
+        json.dumps({"building": f"b{i}", "storey": 0, "rooms": [{"poly": room} for room in rooms]})
+        for i in range(6)
+    ]
+    (tmp_path / "plans.jsonl").write_text("\n".join(lines))
+    graphs, header = registry.import_file("offices", tmp_path / "plans.jsonl", 3, like="p-f")
+    expected, theirs = registry.import_file("p-f", tmp_path / "plans.jsonl", 3)
+    for one, other in zip(graphs, expected, strict=True):
+        np.testing.assert_array_equal(one.nodes.position, other.nodes.position)
+    assert (header["name"], header["like"]) == ("offices", "p-f")
+    for key in ("parts", "origins", "left_out", "seed", "file"):
+        assert header[key] == theirs[key]
+    with pytest.raises(ValueError, match="no key that tells what it is"):
+        registry.import_file("offices", tmp_path / "plans.jsonl")
+
+
+def test_a_set_like_one_for_test_only_is_for_test_only_and_its_top_is_checked(tmp_path):
+    write_graphs(tmp_path / "recorded.jsonl", registry.make("s-f", 4))
+    _, header = registry.import_file("lab", tmp_path / "recorded.jsonl", like="r-f")
+    assert header["parts"] == ["test"] * 4
+    with pytest.raises(
+        ValueError, match="graph 0 reaches up to a floor, expected a building as in"
+    ):
+        registry.import_file("lab", tmp_path / "recorded.jsonl", like="r-b")
+
+
+def test_what_a_set_is_like_has_to_be_known_and_a_known_set_is_like_itself(tmp_path):
+    write_graphs(tmp_path / "a.jsonl", registry.make("s-f", 1))
+    with pytest.raises(ValueError, match=r"unknown data set 'p-g', expected one of .*p-f"):
+        registry.import_file("offices", tmp_path / "a.jsonl", like="p-g")
+    with pytest.raises(ValueError, match="r-f is read as its own files are, expected another name"):
+        registry.import_file("r-f", tmp_path / "a.jsonl", like="p-f")
+
+
+def test_the_command_line_imports_describes_checks_and_draws_a_set_of_any_name(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    write_graphs("flats.jsonl", [own_world(), own_world()])
+    for arguments, sentence in (
+        (("import", "flats", "flats.jsonl", "-o", "flats.npz"), "flats.npz: 2 graphs"),
+        (("describe", "flats.npz"), "pillar"),
+        (("check", "flats.npz"), "flats.npz: 2 graphs, all sound"),
+        (("sheet", "flats.npz", "-o", "sheet.png"), "sheet.png: 2 graphs of flats.npz"),
+    ):
+        cli.main(["data", *arguments])
+        assert sentence in capsys.readouterr().out
+    assert (tmp_path / "sheet.png").stat().st_size > 0
+    with pytest.raises(SystemExit):
+        cli.main(["data", "import", "flats", "flats.jsonl", "-o", "b.npz", "--like", "p-g"])
+    assert "unknown data set 'p-g'" in capsys.readouterr().err
+    assert not (tmp_path / "b.npz").exists()

@@ -5,22 +5,20 @@ import pytest
 
 from sg3d_jax.diffusion.schedules import cosine
 from sg3d_jax.fill import digress
-from sg3d_jax.fill.protocol import Statistics
+from sg3d_jax.fill.protocol import Marginals
 from sg3d_jax.nn.embed import Surface
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
-from sg3d_jax.scene.ontology import FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 from sg3d_jax.scene.padding import Block
 from tests.two_rooms import NO_GATES
 
 NUM_BLOCK, NUM_OLD = 4, 6
 SCHEDULE = cosine(5)
-STATISTICS = Statistics(
+NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
+MARGINALS = Marginals(
     label=jnp.asarray([0, 0.5, 0.3, 0.2, 0, 0]),
     block_edge=jnp.asarray([0.7, 0.3]),
     cross_edge=jnp.asarray([0.6, 0.4]),
-    distance_mean=jnp.float32(1),
-    distance_std=jnp.float32(1),
-    position_std=jnp.float32(1),
 )
 
 
@@ -31,7 +29,7 @@ class Told(RectangleTransformer):
         return self.get_variable("params", "label"), self.get_variable("params", "edge")
 
 
-TOLD = Told(0, 0, 0, 0, 0)
+TOLD = Told(0, 0, 0, 0, 0, 0)
 
 
 def say(label, edge):
@@ -79,20 +77,20 @@ def loss_by_loops(params, block, num_old):
 
 @jax.jit
 def loss_of(params, key, conditioning, block):
-    return digress.loss(TOLD, params, key, conditioning, block, SCHEDULE, STATISTICS)
+    return digress.loss(TOLD, params, key, conditioning, block, SCHEDULE, MARGINALS)
 
 
 @jax.jit
 def noise_of(key, block, old_mask, signal):
     clean, levels = digress.topology_of(block), digress.Levels(signal, signal)
-    return digress.add_noise(key, clean, levels, block.mask, old_mask, STATISTICS)
+    return digress.add_noise(key, clean, levels, block.mask, old_mask, MARGINALS)
 
 
 @jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
 @jax.jit
 def sample_of(params, keys, conditioning, block_mask):
     def one(key):
-        inputs = params, key, conditioning, block_mask, SCHEDULE, 3, STATISTICS
+        inputs = params, key, conditioning, block_mask, SCHEDULE, 3, MARGINALS
         return digress.sample(TOLD, *inputs)
 
     return jax.vmap(one)(keys)

@@ -14,12 +14,12 @@ from tests.two_rooms import NO_GATES
 NUM_BLOCK, NUM_OLD, MEAN, STD = 3, 5, 1.5, 0.4
 SCHEDULE = cosine(4)
 STATISTICS = Statistics(
-    jnp.full(6, 1 / 6),
-    jnp.full(2, 0.5),
-    jnp.full(2, 0.5),
-    distance_mean=jnp.float32(MEAN),
-    distance_std=jnp.float32(STD),
-    position_std=jnp.float32(1),
+    (1 / 6,) * 6,
+    (0.5, 0.5),
+    (0.5, 0.5),
+    distance_mean=MEAN,
+    distance_std=STD,
+    position_std=1.0,
 )
 
 
@@ -39,7 +39,7 @@ class Told(DistanceNetwork):
         return constant + factor * distance
 
 
-TOLD = Told(0, 0)
+TOLD = Told(0, 0, 0)
 
 
 def say(constant, factor=0.0):

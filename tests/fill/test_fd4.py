@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sg3d_jax.fill.fd4 import FD4Config, make_fd4
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PLANE
+from sg3d_jax.fill.fd4 import FD4, FD4Config
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PLANE
 from tests.two_rooms import (
     CAPACITY,
     NUM_PLANES,
@@ -25,7 +25,7 @@ def make(steps):
     sizes = {"encoder_width": 8, "gates": 2, "node_width": 8, "pair_width": 8, "distance_width": 8}
     layers = {"encoder_layers": 1, "layers": 1, "heads": 2, "distance_layers": 1}
     diffusion = {"diffusion_steps": STEPS, "topology_steps": steps, "distance_steps": steps}
-    return make_fd4(FD4Config(**sizes, **layers, **diffusion, noise_levels=4), STATISTICS)
+    return FD4(FD4Config(**sizes, **layers, **diffusion, noise_levels=4), STATISTICS)
 
 
 FILL = make(STEPS)
@@ -70,7 +70,7 @@ def test_samples__fill_the_places_that_are_asked_for(params, steps):
     chex.assert_tree_all_finite(block)
     np.testing.assert_array_equal(block.mask, mask)
     assert not (block.label[:3] == PLANE).any()
-    assert (block.label < NUM_CONCEPTS).all()
+    assert (block.label < PAPER_ONTOLOGY.num_concepts).all()
     for field in (block.label, block.position, block.edges):
         assert not field[3].any()
     edges = np.asarray(block.edges)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sg3d_jax.fill import midi
-from sg3d_jax.fill.midi import Frame, MiDiConfig, State, make_midi, make_schedules
+from sg3d_jax.fill.midi import Frame, MiDi, MiDiConfig, State, make_schedules
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PLANE
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PLANE
 from tests.two_rooms import (
     CAPACITY,
     NUM_PLANES,
@@ -22,8 +22,9 @@ from tests.two_rooms import (
 )
 
 STEPS = 3
+NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
 SIZES = MiDiConfig(8, 1, 2, 8, 8, 1, 2, diffusion_steps=STEPS, noise_levels=4, sampling_steps=STEPS)
-FILL = make_midi(SIZES, STATISTICS)
+FILL = MiDi(SIZES, STATISTICS)
 SCHEDULES = make_schedules(MiDiConfig())
 loss_and_gradient = jax.jit(jax.value_and_grad(FILL.loss, has_aux=True))
 sample = jax.jit(FILL.sample)
@@ -89,7 +90,7 @@ def test_loss__does_not_see_where_the_scene_stands(params):
 @pytest.mark.parametrize("steps", [1, STEPS])
 def test_samples__fill_the_places_that_are_asked_for(params, steps):
     graph, mask = observed(two_rooms()), jnp.arange(4) < 3
-    fill = make_midi(dataclasses.replace(SIZES, sampling_steps=steps), STATISTICS)
+    fill = MiDi(dataclasses.replace(SIZES, sampling_steps=steps), STATISTICS)
     block = jax.jit(fill.sample)(params, jax.random.key(4), graph, mask)
     chex.assert_tree_all_finite(block)
     np.testing.assert_array_equal(block.mask, mask)
@@ -115,7 +116,7 @@ def test_samples__shift_with_the_building(params):
 def test_a_certain_network__gives_what_it_knows_in_metres(monkeypatch, params):
     """The chain ends in the prediction: labels, edges and positions, with the centre added back."""
     monkeypatch.setattr(midi, "RelaxedTransformer", Certain)
-    block = jax.jit(make_midi(SIZES, STATISTICS).sample)(
+    block = jax.jit(MiDi(SIZES, STATISTICS).sample)(
         params, jax.random.key(6), observed(two_rooms()), jnp.ones(1, bool)
     )
     for found, expected in zip(block, wall(), strict=True):
@@ -137,7 +138,7 @@ def test_noise__of_positions_keeps_its_centre_of_mass():
 
     def mean_of(key):
         clean = midi.state_of(block, frame)
-        noisy: State = midi.add_noise(key, clean, signal, block.mask, old_mask, STATISTICS)
+        noisy: State = midi.add_noise(key, clean, signal, block.mask, old_mask, STATISTICS.marginals)
         return jnp.mean(noisy.position, axis=0)
 
     means = jax.jit(jax.vmap(mean_of))(jax.random.split(jax.random.key(7), 2000))

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.infer.candidates import medoids
+from sg3d_jax.metrics.fgw import fgw_pairs
 from tests.two_rooms import NUM_PLANES, two_rooms
 
 SCENE = two_rooms()

@@ -8,10 +8,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sg3d_jax.io.formats import read_planes
-from sg3d_jax.io.planes import COLUMNS, planes_from_dict, planes_to_dict, write_planes
-from sg3d_jax.scene.ontology import PLANE
+from sg3d_jax.io.formats import read_graphs, read_planes, write_graphs
+from sg3d_jax.io.planes import COLUMNS, planes, planes_from_dict, planes_to_dict, write_planes
+from sg3d_jax.scene.graph import ontology_of
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PLANE, Ontology
 from sg3d_jax.scene.validate import checked_observed, validate_graph
+from tests.own_world import ONTOLOGY
 
 ROWS = (
     (0.1, 1 / 3, 2.7, 0.0, -1.0, 0.0, 4.000000000000001),
@@ -95,6 +97,84 @@ def test_written_planes_read_back_bit_for_bit(tmp_path, planes):
     (read,) = read_planes(tmp_path / "a.json")
     assert table(read).tobytes() == np.array(rows).tobytes()
     assert planes_to_dict(read) == scene
+
+
+def test_planes_of_arrays_are_those_of_a_file():
+    columns = np.array(ROWS)
+    made = planes(columns[:, :3].tolist(), columns[:, 3:6], tuple(columns[:, 6]))
+    read = planes_from_dict(SCENE, "planes")
+    for one, other in zip(made.nodes, read.nodes, strict=True):
+        npt.assert_array_equal(one, other, strict=True)
+    assert made.nodes.observed.all()
+    assert not len(made.senders)
+    assert ontology_of(made) is PAPER_ONTOLOGY
+
+
+def test_planes_of_another_ontology_are_its_first_with_normals_and_widths():
+    pillar, plane, *others = (ONTOLOGY.concepts[label] for label in (1, 0, *range(2, 6)))
+    ontology = Ontology((pillar, plane, *others), ONTOLOGY.rules)
+    made = planes(np.eye(3), np.eye(3), np.ones(3), ontology)
+    assert made.nodes.label.tolist() == [1, 1, 1]
+    assert ontology_of(made) is ontology
+
+
+def test_an_ontology_that_observes_no_planes_is_refused():
+    _, pillar, *others = ONTOLOGY.concepts
+    rules = [rule for rule in ONTOLOGY.rules if rule.part != "plane"]
+    ontology = Ontology((pillar, *others), tuple(rules))
+    with pytest.raises(ValueError, match=r"^planes: nothing observed has normal and width, expect"):
+        planes(np.eye(3), np.eye(3), np.ones(3), ontology)
+
+
+@pytest.mark.parametrize(
+    ("centroid", "normal", "width", "sentence"),
+    [
+        (np.ones((4, 2)), np.eye(3), np.ones(3), "centroid has shape [4, 2], expected [4, 3]"),
+        (np.ones(3), np.eye(3), np.ones(3), "centroid has shape [3], expected [3, 3]"),
+        (np.eye(3), np.ones((4, 3)), np.ones(3), "normal has shape [4, 3], expected [3, 3]"),
+        (np.eye(3), np.eye(3), np.ones((3, 1)), "width has shape [3, 1], expected [3]"),
+        (np.eye(3), np.eye(3), 1.0, "width has shape [], expected [3]"),
+        (1.0, np.eye(3), np.ones(3), "centroid has shape [], expected [1, 3]"),
+        (np.eye(3), [[1, 0], [1]], np.ones(3), "normal is no array of numbers, expected a row"),
+        (np.eye(3), np.eye(3), ["wide"] * 3, "width is no array of numbers, expected a row"),
+        (np.eye(3), np.eye(3), None, "width has shape [], expected [3]"),
+    ],
+)
+def test_arrays_of_other_shapes_are_refused(centroid, normal, width, sentence):
+    with pytest.raises(ValueError, match=rf"^planes: {re.escape(sentence)}") as caught:
+        planes(centroid, normal, width)
+    assert "\n" not in str(caught.value)
+
+
+def rounded_scene():
+    """Returns planes whose normals a user has rounded to two decimals."""
+    normals = [[0.71, 0.7, 0.0], [-0.71, -0.71, 0.0], [1.0, 0.0, 0.0]]
+    scene = json.loads(json.dumps(SCENE))
+    for plane, normal in zip(scene["planes"], normals, strict=True):
+        plane["normal"] = normal
+    return scene, np.array(normals)
+
+
+@pytest.mark.parametrize("name", ["a.json", "a.csv"])
+def test_rounded_normals_are_brought_to_unit_length_and_can_be_written(tmp_path, name):
+    scene, normals = rounded_scene()
+    rows = [[*p["centroid"], *p["normal"], p["width"]] for p in scene["planes"]]
+    table = "\n".join([",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows)])
+    path = write(tmp_path, name, table if name == "a.csv" else json.dumps(scene))
+    (graph,) = read_planes(path)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    npt.assert_allclose(graph.nodes.normal, normals / length, rtol=0, atol=1e-15)
+    npt.assert_array_equal(graph.nodes.normal[2], normals[2])  # right ones stay as they are
+    write_graphs(tmp_path / "graph.json", read_graphs(path))
+    (again,) = read_planes(tmp_path / "graph.json")
+    npt.assert_array_equal(again.nodes.normal, graph.nodes.normal)
+
+
+def test_normals_that_are_off_by_more_than_rounding_are_refused(tmp_path):
+    scene, _ = rounded_scene()
+    scene["planes"][1]["normal"] = [0.7, 0.73, 0.0]
+    message = refusal(write(tmp_path, "a.json", json.dumps(scene)))
+    assert ": planes[1].normal is [0.7, 0.73, 0], expected length 1" in message
 
 
 @pytest.mark.parametrize(

@@ -98,8 +98,10 @@ def test_loss_and_gradients__of_a_made_up_ontology_are_right():
     truth = own_world.own_world()
     made = perturb(np.random.default_rng(0), truth, 1, 0.1)
     generated, truth = (on_device(graph) for graph in (made, truth))
-    value, found = gradients(generated.nodes.position, one_hot(generated), generated, truth)
+    value, _ = gradients(generated.nodes.position, one_hot(generated), generated, truth)
     np.testing.assert_allclose(value, fgw(generated, truth).value, atol=3e-6)
+    at = generated.nodes.position, softened(generated, 0)
+    _, found = gradients(*at, generated, truth)
     assert found[1].shape == (CAPACITY.nodes, own_world.ONTOLOGY.num_concepts)
     for gradient in found:
         assert jnp.isfinite(gradient).all()

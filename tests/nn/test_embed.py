@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.nn import embed
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF
 from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF
 from sg3d_jax.scene.padding import Capacity
 from tests.two_rooms import moved, on_device, two_rooms, with_garbage
 
+NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
 SCENE = two_rooms()
 EVERYWHERE = np.eye(NUM_CONCEPTS)[SCENE.nodes.label]
 

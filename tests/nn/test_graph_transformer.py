@@ -18,8 +18,8 @@ from sg3d_jax.nn.graph_transformer import (
     linked_centre,
     propagate,
 )
-from sg3d_jax.scene.ontology import FLOOR, ROOM, WALL
-from sg3d_jax.scene.proximity import connect_kin
+from sg3d_jax.nn.kin import connect_kin
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, ROOM, WALL
 from tests.two_rooms import (
     CAPACITY,
     NO_GATES,
@@ -34,9 +34,10 @@ from tests.two_rooms import (
 
 SCENE = two_rooms()
 NUM_BLOCK, NUM_OLD = 4, 12
+NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
 ENCODER = OldGraphEncoder(8, 1, 3)
-TOPOLOGY = RectangleTransformer(8, 8, 1, 2, 3)
-LENGTHS = DistanceNetwork(8, 1)
+TOPOLOGY = RectangleTransformer(8, 8, 1, 2, 3, NUM_CONCEPTS)
+LENGTHS = DistanceNetwork(8, 1, NUM_CONCEPTS)
 
 
 class Inputs(NamedTuple):

@@ -9,7 +9,7 @@ import pytest
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import OldGraphEncoder
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer, linked_mean
-from sg3d_jax.scene.ontology import FLOOR, ROOM, WALL
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, ROOM, WALL
 from tests.two_rooms import (
     CAPACITY,
     TWICE,
@@ -25,7 +25,7 @@ from tests.two_rooms import (
 SCENE = two_rooms()
 NUM_BLOCK, NUM_NEW, NUM_OLD = 4, 3, 12
 ENCODER = OldGraphEncoder(8, 1, 3)
-DENOISER = RelaxedTransformer(8, 8, 2, 2, 3)
+DENOISER = RelaxedTransformer(8, 8, 2, 2, 3, PAPER_ONTOLOGY.num_concepts)
 
 
 class Inputs(NamedTuple):

@@ -5,9 +5,10 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.data import registry, schema
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
+from sg3d_jax.data import registry
+from sg3d_jax.io import npz
 from sg3d_jax.scene.graph import undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 from sg3d_jax.scene.padding import Capacity, pad, unpad
 from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
@@ -84,7 +85,7 @@ def test_larger_graphs_get_further_buckets_each_twice_as_large(floors):
 
 
 def test_edge_classifiers_are_refused_more_than_a_floor(tmp_path, monkeypatch):
-    schema.save(tmp_path / "a.npz", registry.make("s-b", 10), registry.header("s-b"))
+    npz.save(tmp_path / "a.npz", registry.make("s-b", 10), registry.header("s-b"))
     monkeypatch.setattr(registry, "make", None)  # a name is refused before its graphs are made
     for name, top in (("s-c", "city"), ("m-b", "building"), (str(tmp_path / "a.npz"), "building")):
         with pytest.raises(ValueError, match=f"{name} reaches up to a {top}, .* because ec-square"):
@@ -107,7 +108,7 @@ def test_parts_share_no_graph_and_leave_none_out():
 
 
 def test_a_file_is_split_as_the_data_set_of_its_name(tmp_path):
-    schema.save(tmp_path / "a.npz", registry.make("s-f", 12), registry.header("s-f"))
+    npz.save(tmp_path / "a.npz", registry.make("s-f", 12), registry.header("s-f"))
     by_name = DataConfig("s-f", num_graphs=10)
     by_path = dataclasses.replace(by_name, name=str(tmp_path / "a.npz"))
     for part in PARTS:

@@ -8,18 +8,18 @@ import numpy.testing as npt
 import optax
 import pytest
 
+from sg3d_jax.infer.complete import complete
 from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.train import checkpoint, loop
 from sg3d_jax.train.config import to_json
 from sg3d_jax.train.loop import (
     bucket_of_call,
     prepare,
-    shares_of,
     start_from_weights,
     train,
     validate,
 )
-from sg3d_jax.train.methods import complete
+from sg3d_jax.train.statistics import shares_of
 from sg3d_jax.train.step import init_state
 from sg3d_jax.train.weights import load_weights
 from tests.tiny_run import read_config, untrained_weights

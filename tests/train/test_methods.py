@@ -6,17 +6,18 @@ import jax
 import pytest
 
 from sg3d_jax.baselines.edge_features import Scales
+from sg3d_jax.fill.fd4 import FD4, FD4Config
 from sg3d_jax.fill.protocol import Statistics
-from sg3d_jax.flagg.grow import Completion
-from sg3d_jax.scene.ontology import FLOOR
-from sg3d_jax.train import models
-from sg3d_jax.train.methods import CLASSIFYING, GROWING, METHODS
+from sg3d_jax.flagg.step import FlaggConfig
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY
+from sg3d_jax.train import methods
+from sg3d_jax.train.methods import METHODS
 from sg3d_jax.train.step import init_state, make_train_call
-from tests.tiny_run import MODELS, shortest_run, small_floors, untrained_model
+from tests.tiny_run import MODELS, measured, shortest_run, untrained_model
 from tests.two_rooms import CAPACITY, on_device, two_rooms
 
-GROWN = [name for name, spec in METHODS.items() if spec.kind is GROWING]
-CLASSIFIERS = [name for name, spec in METHODS.items() if spec.kind is CLASSIFYING]
+GROWN = [name for name, spec in METHODS.items() if spec.grows]
+CLASSIFIERS = [name for name, spec in METHODS.items() if spec.statistics is Scales]
 DIFFUSING = [name for name, spec in METHODS.items() if spec.steps is not None]
 
 
@@ -28,8 +29,8 @@ def test_methods_are_those_of_the_paper_that_are_trained():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_configuration_knows_its_method(method):
-    assert models.method_of(METHODS[method].config()) == method
-    assert models.method_of(MODELS[method]) == method
+    assert methods.method_of(METHODS[method].config()) == method
+    assert methods.method_of(MODELS[method]) == method
 
 
 @pytest.mark.parametrize("method", ["ec-l", "midi-or", "midi"])  # the others train in other tests
@@ -53,62 +54,67 @@ def test_every_method_has_a_training_step(method, tmp_path):
 @pytest.mark.parametrize("method", ["ec-l", "midi-or"])  # the others train in other tests
 def test_what_is_counted_is_what_the_model_is_built_with(method):
     stack = jax.tree.map(lambda leaf: leaf[None], on_device(two_rooms(), CAPACITY))
-    counted = models.measure(MODELS[method], None, [stack])
-    assert type(counted) is METHODS[method].kind.statistics
+    counted = methods.measure(MODELS[method], None, [stack])
+    assert type(counted) is METHODS[method].statistics
     assert type(counted) is (Scales if method in CLASSIFIERS else Statistics)
 
 
 def test_edge_classifiers_are_scored_without_floors():
     truth = two_rooms()
     for method in METHODS:
-        target = models.target(untrained_model(method), truth)
+        target = METHODS[method].target(truth)
         if method in CLASSIFIERS:
             assert set(truth.nodes.label) - set(target.nodes.label) == {FLOOR}
         else:
             assert target is truth
 
 
-def test_the_share_of_halted_graphs_is_of_growing_methods():
-    graph = small_floors()[0]
-    completions = [Completion(graph, reason, 3) for reason in ("HALTED", "CAPACITY")]
-    assert models.share_halted(completions) == 0.5
-    assert models.share_halted([Completion(graph, "ONE_SHOT", 1)]) is None
-
-
-def test_of_several_candidates_the_medoid_is_kept(monkeypatch):
-    graphs = small_floors()
-    drawn = [[Completion(graphs[i], "HALTED", i) for i in range(6)] for _ in range(2)]
-    asked = []
-
-    def complete(model, params, scenes, seed, samples):
-        asked.append(samples)
-        return drawn
-
-    model = untrained_model("fd4")
-    kind = GROWING._replace(complete=complete)
-    monkeypatch.setattr(models, "_KIND_OF", {type(model): kind})
-    monkeypatch.setattr(models, "medoids", lambda groups: [len(group) - 1 for group in groups])
-    kept = models.complete(model, None, graphs[:2], samples=2, candidates=3)
-    assert [[one.steps for one in samples] for samples in kept] == [[2, 5], [2, 5]]
-    assert models.complete(model, None, graphs[:2], samples=6) is drawn
-    assert asked == [6, 6]
-
-
 @pytest.mark.parametrize("method", DIFFUSING)
 def test_diffusion_steps_are_changed_by_one_function(method):
     config = MODELS[method]
     for steps in (1, 500):
-        other = models.with_sampling_steps(config, steps)
-        assert models.sampling_steps(other) == steps
+        other = methods.with_sampling_steps(config, steps)
+        assert methods.sampling_steps(other) == steps
         field = METHODS[method].steps
         assert dataclasses.replace(other, **{field: getattr(config, field)}) == config
     for steps in (0, 501):
         with pytest.raises(ValueError, match=rf"must be in 1\.\.500, got {steps}"):
-            models.with_sampling_steps(config, steps)
+            methods.with_sampling_steps(config, steps)
 
 
 @pytest.mark.parametrize("method", CLASSIFIERS)
 def test_a_method_without_diffusion_has_no_steps(method):
-    assert models.sampling_steps(MODELS[method]) is None
+    assert methods.sampling_steps(MODELS[method]) is None
     with pytest.raises(ValueError, match=f"{method} has no diffusion steps, got 3"):
-        models.with_sampling_steps(MODELS[method], 3)
+        methods.with_sampling_steps(MODELS[method], 3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_models_that_are_built_alike_are_one_to_a_compiler(method):
+    one, again = untrained_model(method), untrained_model(method)
+    assert one is not again
+    assert one == again
+    assert hash(one) == hash(again)
+    statistics = measured(method)._replace(**{measured(method)._fields[-1]: 7.5})
+    flagg = one.config if METHODS[method].grows else None
+    other = methods.build_model(MODELS[method], flagg, statistics, PAPER_ONTOLOGY)
+    assert other != one
+
+
+def test_a_fill_model_of_ones_own_is_a_method(monkeypatch):
+    monkeypatch.setattr(methods, "METHODS", dict(METHODS))
+
+    @dataclasses.dataclass(frozen=True)
+    class OwnConfig(FD4Config):
+        pass
+
+    methods.register_fill("own", OwnConfig, FD4, "topology_steps")
+    methods.register_fill("own", OwnConfig, FD4, "topology_steps")  # its file may run twice
+    assert methods.method_of(OwnConfig()) == "own"
+    model = methods.build_model(OwnConfig(), FlaggConfig(), measured("fd4"), PAPER_ONTOLOGY)
+    assert model.fill == FD4(OwnConfig(), measured("fd4"))
+    assert methods.sampling_steps(OwnConfig(topology_steps=9)) == 9
+    with pytest.raises(ValueError, match="a method 'own' is there already"):
+        methods.register_fill("own", FD4Config, FD4)
+    with pytest.raises(ValueError, match="int is the configuration of no method"):
+        methods.method_of(3)

@@ -1,7 +1,6 @@
 """Training steps, on a model of two parameters."""
 
 import dataclasses
-import types
 
 import jax
 import jax.numpy as jnp
@@ -10,30 +9,34 @@ import numpy.testing as npt
 import optax
 import pytest
 
-from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.scene.padding import Capacity, stack
 from sg3d_jax.train import step
 from sg3d_jax.train.step import TrainState, make_optimiser, make_train_call
 from tests.tiny_run import read_config, small_floors
 
 CONFIG = dataclasses.replace(read_config("test"), steps=40, batch=3)
-NO_MODEL = Flagg(None, None, None, None)
+
+
+class Toy:
+    """A model of two parameters."""
+
+    def loss(self, params, key, graph):
+        noise, width = jax.random.normal(key), graph.nodes.width[0]
+        terms = {"noise": noise, "width": width}
+        return jnp.sum((params - jnp.stack([width, noise])) ** 2), terms
+
+    def init(self, key, graph):
+        return START
+
+    ontology = PAPER_ONTOLOGY
+
+
 START = jnp.array([2.0, -1.0])
 
 
 def one_call(steps_per_call, config=CONFIG):
-    return make_train_call(dataclasses.replace(config, steps_per_call=steps_per_call), NO_MODEL)
-
-
-def toy_loss(model, params, key, graph):
-    noise, width = jax.random.normal(key), graph.nodes.width[0]
-    terms = {"noise": noise, "width": width}
-    return jnp.sum((params - jnp.stack([width, noise])) ** 2), terms
-
-
-@pytest.fixture(autouse=True)
-def _toy(monkeypatch):
-    monkeypatch.setattr(step, "models", types.SimpleNamespace(loss=toy_loss))
+    return make_train_call(dataclasses.replace(config, steps_per_call=steps_per_call), Toy())
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,9 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.flagg.step import Params
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.train import weights
-from sg3d_jax.train.methods import CLASSIFYING, GROWING, METHODS, build_model
+from sg3d_jax.train.methods import METHODS, build_model
 from sg3d_jax.train.weights import (
     load_weights,
     names,
@@ -17,7 +18,7 @@ from sg3d_jax.train.weights import (
     save_weights,
     with_diffusion_steps,
 )
-from tests.tiny_run import MODELS, SCALES, STATISTICS, read_config
+from tests.tiny_run import MODELS, STATISTICS, measured, read_config
 
 CONFIG = read_config("test")
 PARAMS = Params(
@@ -79,20 +80,20 @@ def test_packed_weights_name_their_data_set_not_its_file(tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_weights_of_every_method_read_back(method, tmp_path):
     spec = METHODS[method]
-    flagg = CONFIG.flagg if spec.kind is GROWING else None
+    flagg = CONFIG.flagg if spec.grows else None
     config = dataclasses.replace(CONFIG, model=MODELS[method], flagg=flagg)
-    statistics = SCALES if spec.kind is CLASSIFYING else STATISTICS
-    params = PARAMS if spec.kind is GROWING else PARAMS.fill
+    statistics = measured(method)
+    params = PARAMS if spec.grows else PARAMS.fill
     loaded = load_weights(save_weights(tmp_path / "some.npz", config, statistics, params))
     assert loaded.config == config
     assert type(loaded.statistics) is type(statistics)
     assert jax.tree.structure(loaded.params) == jax.tree.structure(params)
-    assert type(loaded.model) is type(build_model(config.model, flagg, statistics))
+    assert type(loaded.model) is type(build_model(config.model, flagg, statistics, PAPER_ONTOLOGY))
 
 
 def test_the_file_tells_numpy_alone_what_it_is(path):
     with np.load(path, allow_pickle=False) as content:
-        assert str(content["format"]) == "sg3d_jax weights 2"
+        assert str(content["format"]) == "sg3d_jax weights 3"
         assert content["params/insert/params/dense_0/kernel"].shape == (2, 3)
         assert '"diffusion_steps": 500' in str(content["config"])
 

@@ -1,0 +1,68 @@
+"""A model that grows rooms without networks: how growing goes, whatever a model has learnt."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from sg3d_jax.fill.protocol import Fill
+from sg3d_jax.flagg.halt import Halt
+from sg3d_jax.flagg.insert import Insert
+from sg3d_jax.flagg.step import Flagg, FlaggConfig, Params
+from sg3d_jax.scene.graph import PackedGraph
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, ROOM, Ontology
+from sg3d_jax.scene.padding import Block
+
+
+@dataclasses.dataclass(frozen=True)
+class AddRooms:
+    """Fills a block with rooms of the first two planes, anywhere within a metre of the origin."""
+
+    label: int = ROOM  # or with nodes of another concept
+    ontology: Ontology = PAPER_ONTOLOGY
+
+    def init(self, key: jax.Array, graph: PackedGraph, block: Block) -> None:
+        return None
+
+    def loss(self, params: Any, key: jax.Array, graph: PackedGraph, block: Block) -> Any:
+        return jnp.float32(0), {}
+
+    def sample(self, params: Any, key: jax.Array, graph: PackedGraph, mask: jax.Array) -> Block:
+        num_block, num_old = mask.shape[0], graph.nodes.mask.shape[0]
+        edges = jnp.zeros((num_block, num_block + num_old), bool)
+        edges = edges.at[:, num_block : num_block + 2].set(mask[:, None])
+        position = jax.random.uniform(key, (num_block, 3), minval=-1.0) * mask[:, None]
+        return Block(jnp.where(mask, self.label, 0), position, edges, mask)
+
+
+@dataclasses.dataclass(frozen=True)
+class Even(Insert):
+    """Inserts blocks of every size equally often."""
+
+    def logits(self, params, graph):
+        return jnp.zeros(self.num_coins)
+
+
+@dataclasses.dataclass(frozen=True)
+class Counting(Halt):
+    """Halts at a number of nodes: its parameter."""
+
+    def logit(self, params, graph):
+        return (graph.n_node[0] - params + 0.5).astype(jnp.float32)
+
+
+def grows_rooms(*coins: int, fill: Fill = AddRooms()) -> Flagg:
+    """Returns a model of which nothing is learnt."""
+    return Flagg(FlaggConfig(coins=coins), Even(1, 1, len(coins)), fill, Counting(1, 1))
+
+
+MODEL, ONE_BY_ONE = grows_rooms(1, 2), grows_rooms(1)
+
+
+def stop_at(num_nodes: int) -> Params:
+    """Returns the parameters of a model that finds a graph complete from so many nodes on."""
+    return Params(None, None, jnp.float32(num_nodes))
+
+
+NEVER = stop_at(10**6)
