@@ -1,6 +1,6 @@
 """What every Fill model is, and what it must know of the data."""
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key

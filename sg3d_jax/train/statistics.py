@@ -84,12 +84,12 @@ def statistics_of(
     variance = max(squares / max(number, 1e-12) - mean**2, 0.0)
     spread = moments.offsets[1] / max(moments.offsets[0], 1e-12)
     return Statistics(
-        label=_floats(labels / labels.sum()),
-        block_edge=_floats(_marginal(moments.inside)),
-        cross_edge=_floats(_marginal(moments.across)),
-        distance_mean=_float(mean),
-        distance_std=_float(np.sqrt(variance) + LEAST_SPREAD),
-        position_std=_float(np.sqrt(spread) + LEAST_SPREAD),
+        label=tuple((labels / labels.sum()).tolist()),
+        block_edge=tuple(_marginal(moments.inside).tolist()),
+        cross_edge=tuple(_marginal(moments.across).tolist()),
+        distance_mean=float(mean),
+        distance_std=float(np.sqrt(variance) + LEAST_SPREAD),
+        position_std=float(np.sqrt(spread) + LEAST_SPREAD),
     )
 
 
@@ -131,12 +131,3 @@ def _label_shares(graphs: SceneGraph) -> np.ndarray:
 def _marginal(counts: np.ndarray) -> np.ndarray:
     """Returns the shares of {no edge, edge}; no edge where there are no pairs."""
     return counts / counts.sum() if counts.sum() else np.array([1.0, 0.0])
-
-
-def _float(value: float) -> float:
-    """Returns a number as float32 holds it, so that weights give the same model back."""
-    return float(np.float32(value))
-
-
-def _floats(values: np.ndarray) -> tuple[float, ...]:
-    return tuple(_float(value) for value in values)

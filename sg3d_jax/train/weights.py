@@ -144,8 +144,7 @@ def _flat(tree: Any, path: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yields the leaves of dictionaries and NamedTuples with their paths, separated by slashes."""
     branches = tree._asdict() if hasattr(tree, "_asdict") else tree
     if not isinstance(branches, dict):
-        plain = isinstance(branches, (float, tuple))  # statistics are float32 numbers
-        yield path, np.asarray(branches, np.float32 if plain else None)
+        yield path, np.asarray(branches)
         return
     for name, branch in branches.items():
         yield from _flat(branch, f"{path}/{name}")
