@@ -41,7 +41,6 @@ class Statistics(NamedTuple):
 
 
 @runtime_checkable
-@runtime_checkable
 class Fill(Protocol):
     """A Fill model: three pure functions on one padded graph; `vmap` them for a batch.
 

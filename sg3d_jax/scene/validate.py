@@ -228,7 +228,7 @@ def _is_unit(normal: np.ndarray, tolerance: float) -> np.ndarray:
 
 def _rows_with_any(array: np.ndarray) -> np.ndarray:
     """Returns bool[n], whether anything of a row is True; there may be no rows."""
-    return array.any(axis=tuple(range(1, array.ndim)))
+    return np.asarray(array.any(axis=tuple(range(1, array.ndim))))
 
 
 def _refuse(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sg3d_jax.diffusion import gaussian
-from sg3d_jax.diffusion.schedules import cosine
+from sg3d_jax.diffusion.schedules import cosine, strided_times
 
 SIGNAL = np.asarray(cosine(10), np.float64)
 
@@ -38,6 +38,19 @@ def test_reverse_step__draws_from_the_posterior_of_the_chain(then, now):
 def test_reverse_step__to_time_zero_returns_the_prediction(now):
     clean, noisy, noise = np.random.default_rng(now).normal(size=(3, 8))
     np.testing.assert_allclose(reverse_step(noise, clean, noisy, 0, now), clean, rtol=1e-6)
+
+
+@pytest.mark.parametrize("num_steps", [64, 333, 400, 500])
+def test_reverse_step__is_finite_at_all_steps_where_the_signal_rounds_to_one(num_steps):
+    """At this exponent the level at time 1 is 1.0 in float32, and at time 2 its square nearly is."""
+    signal, times = cosine(500, 2.5), strided_times(500, num_steps)
+    assert signal[1] == 1
+    ones = jnp.ones((num_steps, 1))
+    levels = signal[times[1:], None], signal[times[:-1], None]
+    found = np.asarray(gaussian.reverse_step(ones, 2 * ones, 3 * ones, *levels))
+    assert np.isfinite(found).all()
+    assert (found >= 0.9).all()  # a mean of prediction and noisy value, and noise on top
+    assert found[-1] == 2
 
 
 def test_add_noise__keeps_unit_variance_and_shrinks_the_mean():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sg3d_jax.fill import midi
-from sg3d_jax.fill.midi import Frame, MiDi, MiDiConfig, State, make_schedules
+from sg3d_jax.fill.midi import Frame, MiDi, MiDiConfig, Schedules, State, make_schedules
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PLANE
 from tests.two_rooms import (
@@ -121,6 +121,56 @@ def test_a_certain_network__gives_what_it_knows_in_metres(monkeypatch, params):
     )
     for found, expected in zip(block, wall(), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_a_network__begins_with_the_noisy_positions_times_their_signal_in_metres(
+    monkeypatch, params
+):
+    shown, conditioning = [], midi.apply(FILL.encoder, params["encoder"], observed(two_rooms()))
+
+    def listen(network, params, *inputs):
+        shown.append(inputs[-2])
+        return jnp.zeros((1, NUM_CONCEPTS)), jnp.zeros((1, 17, 2)), jnp.ones((1, 3))
+
+    monkeypatch.setattr(midi, "apply", listen)
+    frame = Frame(jnp.asarray([1.0, -2.0, 0.5]), jnp.float32(3))
+    noisy = State(midi.digress.topology_of(wall()), jnp.asarray([[0.5, -0.25, 2.0]]))
+    levels = Schedules(*map(jnp.float32, (0.6, 0.5, 0.4)))
+    known = conditioning, frame, wall().mask
+    *_, position = midi.denoise(FILL.network, {}, *known, noisy, levels, jnp.asarray(1))
+    np.testing.assert_allclose(shown[0], [[1.9, -2.45, 4.1]], rtol=1e-6)
+    np.testing.assert_allclose(position, [[0, 1, 1 / 6]], atol=1e-6)
+
+
+@pytest.mark.parametrize(("signal", "weight"), [(0.6, 0.5625), (0.99, 20), (1.0, 20), (0.0, 0)])
+def test_errors_of_positions__weigh_as_their_signal_to_noise_up_to_a_limit(
+    monkeypatch, params, signal, weight
+):
+    """The network says that all stands at the origin of the frame, whatever it sees."""
+    centre = jnp.asarray([3.0, 1.0, 1.0])
+
+    def at_origin(network, params, *inputs):
+        return jnp.zeros((1, NUM_CONCEPTS)), jnp.zeros((1, 17, 2)), centre[None]
+
+    conditioning = midi.apply(FILL.encoder, params["encoder"], observed(two_rooms()))
+    monkeypatch.setattr(midi, "apply", at_origin)
+    levels = Schedules(*map(jnp.float32, (signal, 0.5, 0.4)))
+    inputs = conditioning, Frame(centre, jnp.float32(2)), wall(), levels, jnp.asarray(1)
+    terms = midi.losses(
+        FILL.network, {}, jax.random.key(8), *inputs, STATISTICS.marginals
+    )
+    squared = np.mean(((np.asarray(wall().position) - np.asarray(centre)) / 2) ** 2)
+    np.testing.assert_allclose(terms["position"], weight * squared, rtol=1e-4)
+
+
+def test_samples__of_every_step_of_the_schedule_are_finite(params):
+    """As many steps as are trained: the signal of the last ones is 1.0 in float32."""
+    steps = 350
+    assert make_schedules(dataclasses.replace(SIZES, diffusion_steps=steps)).position[1] == 1
+    config = dataclasses.replace(SIZES, diffusion_steps=steps, sampling_steps=steps)
+    graph, mask = observed(two_rooms()), jnp.ones(1, bool)
+    block = jax.jit(MiDi(config, STATISTICS).sample)(params, jax.random.key(9), graph, mask)
+    chex.assert_tree_all_finite(block)
 
 
 def test_noise__settles_in_positions_first_then_in_edges_then_in_labels():

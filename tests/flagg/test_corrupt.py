@@ -3,16 +3,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE, PROXIMITY
-from sg3d_jax.scene.graph import undirected_edges
-from sg3d_jax.scene.padding import part_of_adjacency
+from scipy.stats import binom
+
+from sg3d_jax.flagg.corrupt import CorruptionConfig, added_slots, corrupt
+from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PLANE, PROXIMITY, ROOM
+from sg3d_jax.scene.padding import Capacity, part_of_adjacency
+from tests import own_world
 from tests.two_rooms import CAPACITY, NUM_PLANES, PART_OF_PAIRS, on_device, two_rooms, with_garbage
 
 SCENE = two_rooms()
-STRONG = CorruptionConfig(p_node=0.3, p_drop=0.2, p_add=0.05, sigma_position=0.1, max_added=6)
-NOTHING = CorruptionConfig(0.0, 0.0, 0.0, 0.0, max_added=3)
-FULL = CorruptionConfig(0.0, 0.0, p_add=1.0, sigma_position=0.0, max_added=4)
+NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
+STRONG = CorruptionConfig(p_node=0.3, p_drop=0.2, p_add=0.05, sigma_position=0.1)
+NOTHING = CorruptionConfig(0.0, 0.0, 0.0, 0.0)
+FULL = CorruptionConfig(0.0, 0.0, p_add=1.0, sigma_position=0.0)
+RELABELLED = CorruptionConfig(p_node=1.0, p_drop=0.0, p_add=0.0, sigma_position=0.0)
 DRAWS = 2000
 
 
@@ -79,7 +84,7 @@ def test_edges__are_added_with_their_chance_to_every_pair_with_a_high_level_end(
 def test_edges__stay_symmetric_and_are_counted(corrupted, adjacency):
     np.testing.assert_array_equal(adjacency, np.swapaxes(adjacency, 1, 2))
     mask = corrupted.edges.mask
-    assert mask.shape[1] == CAPACITY.edges + 2 * STRONG.max_added
+    assert mask.shape[1] == CAPACITY.edges + 2 * added_slots(CAPACITY.nodes, STRONG.p_add)
     np.testing.assert_array_equal(corrupted.n_edge[:, 0], mask.sum(axis=1))
     np.testing.assert_array_equal(corrupted.n_edge.sum(axis=1), np.full(DRAWS, mask.shape[1]))
     twice = mask & (corrupted.edges.relation == PART_OF)
@@ -87,11 +92,59 @@ def test_edges__stay_symmetric_and_are_counted(corrupted, adjacency):
     assert not adjacency[:, 12:].any()
 
 
-def test_no_more_edges_are_added_than_there_is_room_for():
+def test_every_missing_edge__is_added_if_it_is_certain():
     full = jax.jit(lambda graph, key: corrupt(graph, key, FULL))(
         on_device(SCENE), jax.random.key(1)
     )
-    assert len(undirected_edges(full, PART_OF)) == len(PART_OF_PAIRS) + FULL.max_added
+    every_pair, between_planes = 12 * 11 // 2, NUM_PLANES * (NUM_PLANES - 1) // 2
+    assert len(undirected_edges(full, PART_OF)) == every_pair - between_planes
+
+
+@pytest.mark.parametrize("p_add", [0.0001, 0.0005, 0.01])
+@pytest.mark.parametrize("num_nodes", [16, 48, 489, 2048])
+def test_room_for_added_edges__lacks_in_less_than_one_graph_in_ten_million(num_nodes, p_add):
+    num_pairs = num_nodes * (num_nodes - 1) // 2
+    assert binom.sf(added_slots(num_nodes, p_add), num_pairs, p_add) < 1e-7
+    assert added_slots(num_nodes, 0.0) == 0
+
+
+def test_edges_of_a_large_graph__are_added_all_over_it():
+    """On 489 nodes 37 are due; once there were 8 at most, all at the first planes."""
+    num_nodes, num_planes, draws = 489, 300, 30
+    config = CorruptionConfig(p_node=0.0, p_drop=0.0, sigma_position=0.0)
+    label = np.where(np.arange(num_nodes) < num_planes, PLANE, ROOM)
+    graph = on_device(make_graph(label, np.zeros((num_nodes, 3))), Capacity(num_nodes, 4))
+    keys = jax.random.split(jax.random.key(3), draws)
+    found = jax.jit(jax.vmap(lambda key: corrupt(graph, key, config)))(keys)
+    mask, slots = np.asarray(found.edges.mask), added_slots(num_nodes, config.p_add)
+    assert mask.shape[1] == 4 + 2 * slots
+    missing = np.argwhere(np.triu(label[:, None] + label[None, :] > PLANE, 1))
+    due = config.p_add * len(missing)
+    assert due == pytest.approx(37, abs=1)
+    added = mask.sum(axis=1) / 2
+    np.testing.assert_allclose(added.mean(), due, atol=4 * np.sqrt(due / draws))
+    np.testing.assert_allclose(added.std(), np.sqrt(due), rtol=0.5)
+    ends = np.sort(np.stack([found.senders, found.receivers], axis=-1), axis=-1)[mask]
+    error = 4 * missing.std(axis=0) / np.sqrt(len(ends) / 2)
+    np.testing.assert_array_less(np.abs(ends.mean(axis=0) - missing.mean(axis=0)), error)
+
+
+def test_labels__become_concepts_that_grow_in_any_ontology():
+    scene, draws = own_world.own_world(), 600
+    graph, num_nodes = on_device(scene, Capacity(24, 288)), len(scene.nodes.label)
+    keys = jax.random.split(jax.random.key(4), draws)
+    label = jax.jit(jax.vmap(lambda key: corrupt(graph, key, RELABELLED).nodes.label))(keys)
+    label = np.asarray(label)[:, :num_nodes]
+    given = scene.nodes.observed
+    np.testing.assert_array_equal(
+        label[:, given], np.broadcast_to(scene.nodes.label[given], (draws, given.sum()))
+    )
+    grown = np.flatnonzero(~own_world.ONTOLOGY.is_observed)
+    for node in np.flatnonzero(~given):
+        others = grown[grown != scene.nodes.label[node]]
+        counts = np.bincount(label[:, node], minlength=own_world.ONTOLOGY.num_concepts)
+        assert counts.sum() == counts[others].sum()
+        np.testing.assert_allclose(counts[others] / draws, 1 / len(others), atol=0.1)
 
 
 @pytest.mark.parametrize("spoil", [False, True], ids=["clean", "garbage in the padding"])

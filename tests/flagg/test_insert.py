@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import entropy
 
-from sg3d_jax.flagg.insert import draw_size, insert_loss, make_insert
+from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss
 from tests.two_rooms import on_device, two_rooms
 
 LOGITS = jnp.asarray([0.3, -1.2, 2.0])
@@ -32,7 +32,7 @@ def test_sizes__are_drawn_from_the_coins():
 
 @pytest.mark.parametrize("num_coins", [1, 2])
 def test_insert__has_one_logit_a_coin(num_coins):
-    insert, graph = make_insert(4, 1, num_coins), on_device(two_rooms())
+    insert, graph = Insert(4, 1, num_coins), on_device(two_rooms())
 
     def start(key):
         return insert.logits(insert.init(key, graph), graph)
@@ -41,5 +41,5 @@ def test_insert__has_one_logit_a_coin(num_coins):
 
 
 def test_insert__with_one_coin_has_nothing_to_learn():
-    insert, graph = make_insert(4, 1, 1), on_device(two_rooms())
+    insert, graph = Insert(4, 1, 1), on_device(two_rooms())
     assert jax.tree.leaves(insert.init(jax.random.key(2), graph)) == []

@@ -5,11 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sg3d_jax.flagg.ordering import insertion_rank
-from sg3d_jax.scene.ontology import CONCEPTS, FLOOR, NUM_CONCEPTS, PLANE, ROOM, WALL
+from sg3d_jax.flagg.ordering import grown_layers, insertion_rank
 from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
+from sg3d_jax.scene.padding import Capacity
+from tests import own_world
 from tests.two_rooms import CAPACITY, on_device
 
+CONCEPTS = PAPER_ONTOLOGY.names
 OTHER_LAYERS = ("plane", "floor", "room", "wall", "building", "city")
 
 
@@ -89,8 +92,55 @@ def test_hp__draws_between_nodes_at_the_same_place():
 
 
 def test_concepts_of_every_name_have_a_layer():
-    graph = make_graph(range(NUM_CONCEPTS), np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(6), [])
+    graph = make_graph(range(len(CONCEPTS)), np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(6), [])
     keys = jax.random.split(jax.random.key(3), 1)
     rank = RANKS["H", OTHER_LAYERS](on_device(graph), keys)[0]
     assert [OTHER_LAYERS[1 + place] for place in rank[1:6]] == list(CONCEPTS[1:])
     assert jnp.issubdtype(rank.dtype, jnp.integer)
+
+
+@pytest.mark.parametrize("ordering", ["H", "HP"])
+@pytest.mark.parametrize("layers", [(), ("floor", "wall", "flat", "room")])
+def test_ranks__are_of_what_grows_in_any_ontology(ordering, layers):
+    scene = own_world.own_world()
+    keys = jax.random.split(jax.random.key(4), 5)
+    ranks = ranks_of(ordering, layers)(on_device(scene, Capacity(24, 288)), keys)
+    label, names = scene.nodes.label, own_world.ONTOLOGY.names
+    given = np.isin(label, [own_world.PLANE, own_world.PILLAR])
+    order = grown_layers(own_world.ONTOLOGY, layers)
+    for rank in ranks:
+        assert (rank[: len(label)][given] == -1).all()
+        assert (rank[len(label) :] == 24).all()
+        high = rank[: len(label)][~given]
+        assert sorted(high) == list(range((~given).sum()))
+        place = np.array([order.index(names[concept]) for concept in label[~given]])
+        assert (np.diff(place[np.argsort(high)]) >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("layers", "expected"),
+    [
+        ((), ["wall", "room", "flat", "floor"]),
+        (("floor", "wall", "room", "flat"), ["floor", "wall", "room", "flat"]),
+        (("plane", "floor", "pillar", "wall", "room", "flat"), ["floor", "wall", "room", "flat"]),
+    ],
+)
+def test_layers__may_name_what_is_observed_or_leave_it_out(layers, expected):
+    assert grown_layers(own_world.ONTOLOGY, layers) == expected
+
+
+@pytest.mark.parametrize(
+    "layers",
+    [
+        ("wall", "room", "flat"),
+        ("wall", "room", "flat", "floor", "floor"),
+        ("wall", "room", "flat", "building"),
+        ("wall", "room", "flat", "floor", "building"),
+        ("plane", "pillar"),
+    ],
+    ids=["missing", "twice", "another", "one too many", "observed alone"],
+)
+def test_layers__name_each_concept_that_grows_once(layers):
+    expected = r"flagg\.layers must name each of wall, room, flat, floor once, got " + layers[0]
+    with pytest.raises(ValueError, match=expected):
+        grown_layers(own_world.ONTOLOGY, layers)

@@ -4,16 +4,11 @@ import numpy as np
 import pytest
 
 from sg3d_jax.flagg.blocks import fewest_coins
-from sg3d_jax.flagg.removal import (
-    check_one_shot,
-    draw_continuations,
-    draw_cut,
-    one_shot_capacity,
-    one_shot_cut,
-)
-from sg3d_jax.scene.ontology import PLANE, PROXIMITY, ROOM
+from sg3d_jax.flagg.removal import draw_continuations, draw_cut, extract_block
 from sg3d_jax.scene.graph import undirected_edges
-from sg3d_jax.scene.padding import part_of_adjacency
+from sg3d_jax.scene.ontology import PLANE, PROXIMITY
+from sg3d_jax.scene.padding import Capacity, part_of_adjacency
+from tests import own_world
 from tests.two_rooms import NUM_PLANES, on_device, two_rooms, with_garbage
 
 COINS = (1, 2)
@@ -47,10 +42,10 @@ def find(position):
 
 
 def test_planes__survive_untouched_with_all_their_proximity_edges(cuts):
-    label, position, normal, width, _ = on_device(SCENE).nodes
-    nodes = cuts.survivors.nodes
+    whole, nodes = on_device(SCENE).nodes, cuts.survivors.nodes
     assert nodes.mask[:, :NUM_PLANES].all()
-    for found, given in zip(nodes[:4], (label, position, normal, width), strict=True):
+    for name in ("label", "position", "normal", "width", "observed"):
+        found, given = getattr(nodes, name), getattr(whole, name)
         np.testing.assert_array_equal(found, np.broadcast_to(given, found.shape))
     for cut in each(cuts):
         np.testing.assert_array_equal(undirected_edges(cut.survivors, PROXIMITY), NEAR)
@@ -136,9 +131,10 @@ def test_cut__does_not_depend_on_what_is_in_the_padding(cuts):
 
 
 def test_a_graph_of_planes_only__is_complete_and_has_no_block():
-    label = jnp.zeros_like(on_device(SCENE).nodes.label)
     graph = on_device(SCENE)
-    planes = graph._replace(nodes=graph.nodes._replace(label=label))
+    label = jnp.zeros_like(graph.nodes.label)
+    nodes = graph.nodes._replace(label=label, observed=graph.nodes.mask)
+    planes = graph._replace(nodes=nodes)
     cut = cut_graph(planes, jax.random.split(jax.random.key(1), 3))
     assert cut.complete.all()
     assert not cut.has_block.any()
@@ -194,30 +190,55 @@ def test_continuations__are_blocks_as_large_as_that_of_the_cut():
             assert len(set(slots)) == len(slots)
 
 
-def test_one_shot__leaves_the_planes_and_takes_all_else_as_one_block():
+def test_extracted_blocks__hold_the_nodes_of_their_ranks_and_what_comes_before():
     graph = on_device(SCENE)
-    cut = jax.tree.map(np.asarray, jax.jit(one_shot_cut)(graph))
-    num_nodes, num_block = len(graph.nodes.mask), one_shot_capacity(len(graph.nodes.mask))
-    np.testing.assert_array_equal(cut.survivors.nodes.mask, np.arange(num_nodes) < NUM_PLANES)
-    np.testing.assert_array_equal(undirected_edges(cut.survivors, PROXIMITY), NEAR)
-    assert not part_of_adjacency(cut.survivors).any()
-    assert len(cut.block.mask) == num_block
-    np.testing.assert_array_equal(np.flatnonzero(cut.block.mask), range(NUM_HIGH))
-    high = slice(NUM_PLANES, NUM_PLANES + NUM_HIGH)
-    np.testing.assert_array_equal(cut.block.label[:NUM_HIGH], SCENE.nodes.label[high])
-    np.testing.assert_allclose(cut.block.position[:NUM_HIGH], SCENE.nodes.position[high], rtol=1e-6)
-    expected = np.concatenate([TRUTH[high, high], TRUTH[high, :NUM_PLANES]], axis=1)
-    found = np.delete(cut.block.edges[:NUM_HIGH], np.s_[NUM_HIGH:num_block], axis=1)
-    np.testing.assert_array_equal(found[:, : NUM_HIGH + NUM_PLANES], expected)
-    assert cut.block.edges.sum() == expected.sum()
+    rank = jnp.where(graph.nodes.observed, -1, 3 - (jnp.arange(16) - NUM_PLANES))
+    rank = jnp.where(graph.nodes.mask, rank, 16)  # the floor first, the wall last
+    block = extract_block(graph, rank, jnp.asarray(1), jnp.asarray(2), 3)
+    np.testing.assert_array_equal(block.mask, [True, True, False])
+    np.testing.assert_array_equal(block.label[:2], SCENE.nodes.label[[10, 9]])
+    np.testing.assert_allclose(block.position[:2], SCENE.nodes.position[[10, 9]], rtol=1e-6)
+    before = np.arange(16) != 8
+    before[9:11] = False  # the block itself
+    np.testing.assert_array_equal(block.edges[:2, 3:], TRUTH[[10, 9]] & before)
+    assert not block.edges[:, :3].any()
+    for field in (block.label, block.position, block.edges):
+        assert not field[2].any()
 
 
-def test_one_shot__is_refused_where_a_bucket_has_no_room():
-    graphs = jax.tree.map(lambda leaf: leaf[None], on_device(SCENE))
-    check_one_shot([graphs])
-    label = jnp.where(jnp.arange(graphs.nodes.label.shape[1])[None] < 3, PLANE, ROOM)
-    crowded = graphs._replace(nodes=graphs.nodes._replace(label=label))
-    with pytest.raises(
-        ValueError, match="bucket of 16 nodes has 9 that are not planes, expected at"
-    ):
-        check_one_shot([graphs, crowded])
+def test_cuts_and_continuations__are_of_what_grows_in_any_ontology():
+    scene = own_world.own_world()
+    graph, num_given = on_device(scene, Capacity(24, 288)), own_world.NUM_OBSERVED
+    truth = np.asarray(part_of_adjacency(graph))
+    near = undirected_edges(scene, PROXIMITY)
+    layers = ("floor", "room", "wall", "flat")
+
+    @jax.jit
+    def draw(key):
+        cut = draw_cut(graph, key, (1, 2), "H", layers)
+        return cut, draw_continuations(graph, cut, jax.random.fold_in(key, 1), 8, layers)
+
+    place = np.array([layers.index(name) if name in layers else -1 for name in scene.globals.names])
+    seen = set()
+    for seed in range(12):
+        cut, blocks = jax.tree.map(np.asarray, draw(jax.random.key(seed)))
+        old = cut.survivors.nodes.mask
+        assert old[:num_given].all()
+        np.testing.assert_array_equal(cut.survivors.nodes.observed, np.arange(24) < num_given)
+        np.testing.assert_array_equal(undirected_edges(cut.survivors, PROXIMITY), near)
+        gone = np.flatnonzero(~old[: len(scene.nodes.label)])
+        seen.add(len(gone))
+        for block in [cut.block, *each_block(blocks)]:
+            size = int(cut.block.mask.sum())
+            assert block.mask.sum() == size
+            offset = block.position[block.mask][:, None] - scene.nodes.position[None]
+            alike = block.label[block.mask][:, None] == scene.nodes.label[None]
+            slots = np.argmin(np.abs(offset).max(axis=-1) + 99 * ~alike, axis=-1)
+            assert np.isin(slots, gone).all()
+            assert len(set(slots)) == size
+            np.testing.assert_array_equal(block.label[block.mask], scene.nodes.label[slots])
+            expected = sorted(place[scene.nodes.label[gone]])[:size]
+            assert sorted(place[scene.nodes.label[slots]]) == expected
+            np.testing.assert_array_equal(block.edges[:size, 2:], truth[slots] & old)
+            np.testing.assert_array_equal(block.edges[:size, :size], truth[np.ix_(slots, slots)])
+    assert len(seen) > 4

@@ -1,3 +1,4 @@
+import dataclasses
 import functools
 
 import chex
@@ -6,42 +7,40 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sg3d_jax.fill.fd4 import FD4Config, make_fd4
-from sg3d_jax.fill.protocol import Fill, Statistics
+from sg3d_jax.fill.fd4 import FD4, FD4Config
+from sg3d_jax.fill.midi import MiDi, MiDiConfig
 from sg3d_jax.flagg import step
+from sg3d_jax.flagg.grow import RUNNING, grow
 from sg3d_jax.flagg.halt import halt_loss
 from sg3d_jax.flagg.insert import insert_loss
-from sg3d_jax.flagg.grow import RUNNING, grow_from_planes
-from sg3d_jax.scene.ontology import PLANE
-from sg3d_jax.scene.graph import observed_of
-from tests.two_rooms import NUM_PLANES, on_device, random_params, two_rooms
+from sg3d_jax.flagg.step import FlaggConfig, make_flagg
+from sg3d_jax.nn.kin import kin_fit
+from sg3d_jax.scene.graph import extended, observed_of
+from sg3d_jax.scene.ontology import PLANE, ROOM, WALL
+from tests.growing_rooms import NEVER, AddRooms, grows_rooms
+from tests.own_world import ONTOLOGY
+from tests.two_rooms import NUM_PLANES, STATISTICS, on_device, random_params, two_rooms
 
 SCENE = two_rooms()
-STATISTICS = Statistics(
-    label=jnp.asarray([0, 0.4, 0.4, 0.2, 0, 0]),
-    block_edge=jnp.asarray([0.7, 0.3]),
-    cross_edge=jnp.asarray([0.6, 0.4]),
-    distance_mean=jnp.float32(2),
-    distance_std=jnp.float32(0.5),
-    position_std=jnp.float32(1),
-)
-QUIET = step.CorruptionConfig(0.0, 0.0, 0.0, 0.0, max_added=1)
+PAPER_LAYERS = ("room", "wall", "floor", "building", "city")
+QUIET = step.CorruptionConfig(0.0, 0.0, 0.0, 0.0)
 
 
-def constant_fill() -> Fill:
+@dataclasses.dataclass(frozen=True)
+class ConstantFill(AddRooms):
     """A Fill whose loss is its parameter."""
-    return Fill(
-        init=lambda key, graph, block: jnp.float32(3),
-        loss=lambda params, key, graph, block: (2 * params, {"constant": params}),
-        sample=lambda params, key, graph, mask: None,
-    )
+
+    def init(self, key, graph, block):
+        return jnp.float32(3)
+
+    def loss(self, params, key, graph, block):
+        return 2 * params, {"constant": params}
 
 
 @pytest.fixture(scope="module")
 def simple():
-    config = step.FlaggConfig(coins=(1, 2), width=4, depth=1, corruption=QUIET)
-    model = step.make_flagg(config, constant_fill())
-    params = random_params(functools.partial(step.init, model, graph=on_device(SCENE)))
+    model = make_flagg(FlaggConfig(coins=(1, 2), width=4, depth=1, corruption=QUIET), ConstantFill())
+    params = random_params(functools.partial(model.init, graph=on_device(SCENE)))
     return model, params._replace(fill=jnp.float32(3))
 
 
@@ -51,7 +50,7 @@ def test_loss__is_the_sum_of_the_three_modules_on_one_cut(simple):
 
     @jax.jit
     def both(key, again):
-        total, terms = step.loss(model, params, key, graph)
+        total, terms = model.loss(params, key, graph)
         cut = step.cut_graph(model.config, jax.random.split(again, 4)[0], graph)
         logits = model.insert.logits(params.insert, cut.survivors)
         logit = model.halt.logit(params.halt, cut.survivors)
@@ -73,7 +72,7 @@ def test_loss__has_a_finite_gradient_that_reaches_every_module(simple):
     @jax.jit
     def gradient(params):
         def mean(params):
-            losses = jax.vmap(lambda key: step.loss(model, params, key, graphs)[0])(keys)
+            losses = jax.vmap(lambda key: model.loss(params, key, graphs)[0])(keys)
             return jnp.mean(losses)
 
         return jax.grad(mean)(params)
@@ -84,27 +83,25 @@ def test_loss__has_a_finite_gradient_that_reaches_every_module(simple):
         assert any(np.any(leaf) for leaf in jax.tree.leaves(module))
 
 
-def telling_fill() -> Fill:
+@dataclasses.dataclass(frozen=True)
+class TellingFill(AddRooms):
     """A Fill whose loss is the label of its block, and which tells a number of its key."""
 
-    def loss(params, key, graph, block):
+    def loss(self, params, key, graph, block):
         label = block.label[0].astype(jnp.float32)
         return label, {"label": label, "noise": jax.random.uniform(key)}
-
-    return Fill(lambda key, graph, block: jnp.float32(1), loss, lambda *_: None)
 
 
 def test_loss__is_a_mean_over_what_may_come_next():
     """Walls come first and rooms after them; a wall and two rooms cannot share a state."""
-    config = step.FlaggConfig(coins=(1,), width=4, depth=1, corruption=QUIET, continuations=16)
-    model = step.make_flagg(config, telling_fill())
-    graph = on_device(SCENE)
-    params = step.init(model, jax.random.key(0), graph)
+    config = FlaggConfig(coins=(1,), width=4, depth=1, corruption=QUIET, continuations=16)
+    model, graph = make_flagg(config, TellingFill()), on_device(SCENE)
+    params = random_params(functools.partial(model.init, graph=graph))
 
     @jax.jit
     def both(key, again):
         cut = step.cut_graph(config, jax.random.split(again, 4)[0], graph)
-        return step.loss(model, params, key, graph)[1], cut
+        return model.loss(params, key, graph)[1], cut
 
     for seed in range(8):
         terms, cut = both(jax.random.key(seed), jax.random.key(seed))
@@ -115,22 +112,22 @@ def test_loss__is_a_mean_over_what_may_come_next():
 @pytest.mark.parametrize(("continuations", "ordering"), [(0, "H"), (2, "HP")])
 def test_continuations__are_refused_where_there_are_none(continuations, ordering):
     with pytest.raises(ValueError, match=f"flagg.continuations is {continuations}, expected 1"):
-        step.FlaggConfig(continuations=continuations, ordering=ordering)
+        FlaggConfig(continuations=continuations, ordering=ordering)
 
 
 def test_growing__with_an_untrained_model_leaves_the_planes_bit_for_bit():
     sizes = {"encoder_width": 8, "gates": 2, "node_width": 8, "pair_width": 8, "distance_width": 8}
     layers = {"encoder_layers": 1, "layers": 1, "heads": 2, "distance_layers": 1}
     diffusion = {"diffusion_steps": 3, "topology_steps": 2, "distance_steps": 2}
-    fill = make_fd4(FD4Config(**sizes, **layers, **diffusion), STATISTICS)
-    model = step.make_flagg(step.FlaggConfig(coins=(1, 2), width=4, depth=1), fill)
+    fill = FD4(FD4Config(**sizes, **layers, **diffusion), STATISTICS)
+    model = make_flagg(FlaggConfig(coins=(1, 2), width=4, depth=1), fill)
     planes = on_device(observed_of(SCENE))
 
-    init = functools.partial(step.init, model, graph=on_device(SCENE))
-    grow = jax.jit(functools.partial(grow_from_planes, model, max_steps=3))
+    init = functools.partial(model.init, graph=on_device(SCENE))
+    growing = jax.jit(functools.partial(grow, model, max_steps=3))
 
     for seed in range(4):
-        grown = grow(random_params(init, seed=seed), jax.random.key(seed), planes)
+        grown = growing(random_params(init, seed=seed), jax.random.key(seed), planes)
         assert grown.halt_reason != RUNNING
         count = int(grown.graph.n_node[0])
         assert NUM_PLANES < count <= NUM_PLANES + 6
@@ -139,3 +136,60 @@ def test_growing__with_an_untrained_model_leaves_the_planes_bit_for_bit():
             np.testing.assert_array_equal(found[:NUM_PLANES], given[:NUM_PLANES])
         assert (grown.graph.nodes.label[NUM_PLANES:count] != PLANE).all()
         np.testing.assert_array_equal(grown.graph.nodes.mask, np.arange(16) < count)
+
+
+@pytest.mark.parametrize(("label", "fits"), [(ROOM, False), (WALL, True)])
+def test_a_step__does_not_fit_where_kin_have_no_slot(label, fits):
+    """Of 16 slots, a third is for nodes that hear of their kin: the floor and four rooms."""
+    crowd = extended(SCENE, [ROOM, ROOM], np.zeros((2, 3)), [])
+    graph = on_device(crowd)
+    assert kin_fit(graph)
+    model = grows_rooms(1, fill=AddRooms(label))
+    grown = jax.jit(model.step)(NEVER, jax.random.key(0), graph)
+    assert grown.fits == fits
+    if fits:
+        assert grown.graph.n_node[0] == graph.n_node[0] + 1
+    else:
+        chex.assert_trees_all_equal(grown.graph, graph)
+
+
+@pytest.mark.parametrize("field", ["config", "statistics", "ontology"])
+@pytest.mark.parametrize(
+    ("fill", "config"),
+    [(FD4, FD4Config(heads=2)), (MiDi, MiDiConfig(heads=2))],
+    ids=["fd4", "midi"],
+)
+def test_models_that_are_built_alike__are_one(fill, config, field):
+    def make(**changes):
+        statistics = type(STATISTICS)(*STATISTICS)  # of equal numbers, not the same object
+        parts = {"config": dataclasses.replace(config), "statistics": statistics}
+        return make_flagg(FlaggConfig(coins=(1, 4)), fill(**{**parts, **changes}))
+
+    changes = {
+        "config": dataclasses.replace(config, heads=4),
+        "statistics": STATISTICS._replace(distance_mean=2.5),
+        "ontology": ONTOLOGY,
+    }
+    one, same, other = make(), make(), make(**{field: changes[field]})
+    assert one is not same
+    assert one == same
+    assert hash(one) == hash(same)
+    assert one != other
+
+    chex.clear_trace_counter()  # which goes by names
+
+    @functools.partial(jax.jit, static_argnums=0)
+    @chex.assert_max_traces(n=2)
+    def compiled(model, number):
+        return model.config.width * number
+
+    for model in (one, same, other, one):
+        assert compiled(model, jnp.asarray(2)) == 64
+    with pytest.raises(AssertionError, match="traced"):
+        compiled(make_flagg(FlaggConfig(coins=(1,)), one.fill), jnp.asarray(2))
+
+
+def test_an_order_of_other_concepts__is_refused():
+    with pytest.raises(ValueError, match=r"flagg\.layers must name each of wall, room, flat, floor"):
+        make_flagg(FlaggConfig(layers=PAPER_LAYERS), AddRooms(ontology=ONTOLOGY))
+    make_flagg(FlaggConfig(layers=PAPER_LAYERS), AddRooms())
