@@ -17,8 +17,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from sg3d_jax.data import registry, schema
+from sg3d_jax.data import registry
 from sg3d_jax.flagg.corrupt import CorruptionConfig
+from sg3d_jax.io import npz
 from sg3d_jax.train.config import Config, DataConfig
 from sg3d_jax.train.loop import train
 from sg3d_jax.train.presets import find_config
@@ -29,7 +30,7 @@ STEPS: Final = 1500
 SCENES: Final = 80
 
 QUIET: Final = CorruptionConfig(0.0, 0.0, 0.0, 0.0)
-LOUD: Final = CorruptionConfig(0.04, 0.04, 0.002, 0.2, max_added=16)
+LOUD: Final = CorruptionConfig(0.04, 0.04, 0.002, 0.2)
 ROOMS_FIRST: Final = ("plane", "room", "wall", "floor", "building", "city")
 ONE_CONTINUATION: Final = {"continuations": 1}
 EIGHT_LEVELS: Final = {"noise_levels": 8}
@@ -76,7 +77,7 @@ def measure(name: str, seed: int, folder: Path) -> dict[str, Any]:
     """Trains a variant and returns the scores of its validation scenes."""
     data = folder / "s-c.npz"
     small = [graph for graph in registry.make("s-c") if len(graph.nodes.label) <= MAX_NODES]
-    schema.save(data, small, registry.header("s-c"))
+    npz.save(data, small, registry.header("s-c"))
     directory = folder / "run"
     train(variant(name, seed, str(data)), directory)
     lines = map(json.loads, (directory / "log.jsonl").read_text().splitlines())

@@ -12,9 +12,9 @@ import os
 import time
 from pathlib import Path
 
+from sg3d_jax.infer.complete import complete
 from sg3d_jax.metrics.report import score
 from sg3d_jax.train.dataset import load_split
-from sg3d_jax.train.methods import complete
 from sg3d_jax.train.weights import load_weights, with_diffusion_steps
 
 RESULTS = Path(__file__).parent / "results"

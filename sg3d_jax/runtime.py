@@ -27,6 +27,8 @@ def cache_folder() -> str:
 
 def configure() -> None:
     """Keeps compiled programs between processes, and large temporaries mapped between steps."""
+    # XLA takes its own compiled programs, read back from disk, for those of another machine.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     keep_compiled_programs()
     keep_memory()
 

@@ -15,7 +15,6 @@ from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.scene.graph import observed_of
 from sg3d_jax.scene.ontology import FLOOR, PLANE
 from sg3d_jax.train import evaluation, loop
-from sg3d_jax.train import weights as weights_module
 from sg3d_jax.train.config import to_json
 from sg3d_jax.train.methods import METHODS
 from sg3d_jax.train.weights import load_weights
@@ -29,7 +28,6 @@ from tests.tiny_run import (
 )
 
 FD4 = load_weights("fd4-s-f")
-load_once = functools.cache(weights_module.load_weights)  # a model is compiled once
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -42,8 +40,6 @@ def _no_check_of_key_reuse():
 @pytest.fixture(autouse=True)
 def _workplace(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for module in (weights_module, evaluation):
-        monkeypatch.setattr(module, "load_weights", load_once)
 
 
 @pytest.fixture(scope="module")
@@ -271,7 +267,7 @@ def test_bad_input_to_train_is_refused(capsys):
     for arguments, sentence in (
         (("rand-s-f",), "rand has nothing to train"),
         (("fd5-s-f",), "fd5-s-f: neither a configuration file nor METHOD-DATASET"),
-        (("ec-l-s-c",), "s-c reaches up to a city, expected single floors, because ec-l"),
+        (("ec-l-s-c",), "s-c reaches up to a city, expected a floor at most, because ec-l"),
         (("fd4-p-f",), "p-f is made of a file that you have"),
         (("nothing.py",), "nothing.py: no such configuration file"),
         ((write("empty.py", ""),), "empty.py: expected a variable CONFIG"),

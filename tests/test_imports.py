@@ -1,8 +1,12 @@
-"""Imports point one way, and the heavy packages stay where they belong."""
+"""Imports point one way, file by file, and the heavy packages stay where they belong."""
 
 import ast
+import importlib.metadata
+import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Mapping
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Final
@@ -12,31 +16,57 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "sg3d_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# A module may import from its own rank and from those above it in this list.
-RANKS: Final = (
-    {"scene"},
-    {"nn", "diffusion", "data", "metrics", "interop", "viz"},
-    {"fill", "flagg", "baselines"},
-    {"train", "pretrained"},
-    {"cli", "__init__", "__main__"},
-)
-RANK: Final = {name: rank for rank, names in enumerate(RANKS) for name in names}
+# Folder -> the others that its files may import from, inside functions, too. Together they are
+#   scene <- diffusion, nn <- fill <- flagg, baselines <- infer <- train <- cli
+#   scene <- io <- data <- train
+#   scene <- metrics <- infer
+#   io <- viz <- cli
+GROWING: Final = {"scene", "diffusion", "nn", "fill", "flagg"}
+TRAINING: Final = {*GROWING, "baselines", "metrics", "infer", "io", "data", "train"}
+MAY_IMPORT: Final[Mapping[str, set[str]]] = {
+    "scene": set(),
+    "diffusion": {"scene"},
+    "nn": {"scene"},
+    "fill": {"scene", "diffusion", "nn"},
+    "flagg": {"scene", "diffusion", "nn", "fill"},
+    "baselines": GROWING,
+    "metrics": {"scene"},
+    "infer": {*GROWING, "baselines", "metrics"},
+    "io": {"scene"},
+    "data": {"scene", "io"},
+    "train": TRAINING - {"train"},
+    "viz": {"scene", "io"},
+    "runtime": set(),
+    "__init__": {*TRAINING, "viz", "runtime"},
+    "cli": {*TRAINING, "viz", "runtime", "__init__"},
+}
 
 # Package -> where alone in sg3d_jax it may be imported.
-HOMES: Final = {
-    "flax": "nn/",
-    "orbax": "train/checkpoint.py",
-    "ott": "metrics/entropic.py",
-    "matplotlib": "viz/",
-    "mpl_toolkits": "viz/",
-    "plotly": "viz/",
-    "shapely": "data/",
-    "networkx": ("interop/", "baselines/"),
+HOMES: Final[Mapping[str, tuple[str, ...]]] = {
+    "chex": ("train/loop.py",),
+    "flax": ("nn/",),
+    "jraph": ("scene/graph.py",),
+    "matplotlib": ("viz/",),
+    "mpl_toolkits": ("viz/",),
+    "networkx": ("io/", "baselines/"),
+    "optax": ("train/step.py", "baselines/edge_classifier.py"),
+    "orbax": ("train/checkpoint.py",),
+    "ott": ("metrics/entropic.py",),
+    "plotly": ("viz/",),
+    "rich": ("cli/", "train/log.py"),
+    "scipy": ("data/", "metrics/oddities.py"),
+    "shapely": ("data/",),
+    "tyro": ("cli/", "train/config.py"),
 }
+EVERYWHERE: Final = {"jax", "jaxtyping", "numpy"}
 
 
 def _name(module: Path) -> str:
     return module.relative_to(PACKAGE).as_posix()
+
+
+def _folder(module: Path) -> str:
+    return module.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
 def _imports(module: Path) -> set[str]:
@@ -46,6 +76,7 @@ def _imports(module: Path) -> set[str]:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}:{node.lineno} is relative, expected a whole name"
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
     return names
 
@@ -66,26 +97,46 @@ def _file_of(path: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _rank(module: Path) -> int:
-    return RANK[module.relative_to(PACKAGE).parts[0].removesuffix(".py")]
-
-
-@pytest.mark.parametrize("module", MODULES, ids=_name)
-def test_imports__point_one_way(module: Path) -> None:
-    upward = {_name(other) for other in _imported_modules(module) if _rank(other) > _rank(module)}
-    assert upward == set()
-
-
-def test_imports__have_no_cycle() -> None:
-    imported = {module: _imported_modules(module) for module in MODULES}
-    assert set(TopologicalSorter(imported).static_order()) == set(MODULES)
-
-
-@pytest.mark.parametrize("module", MODULES, ids=_name)
-def test_heavy_packages__are_imported_only_at_home(module: Path) -> None:
+def _foreign(module: Path) -> set[str]:
+    """Returns the packages of others that a module imports."""
     tops = {name.split(".")[0] for name in _imports(module)}
-    astray = {top for top in tops & set(HOMES) if not _name(module).startswith(HOMES[top])}
+    return tops - set(sys.stdlib_module_names) - {PACKAGE.name}
+
+
+IMPORTED: Final = {module: _imported_modules(module) for module in MODULES}
+
+
+def test_arrows__point_one_way_and_nothing_is_reached_behind_another() -> None:
+    assert set(TopologicalSorter(MAY_IMPORT).static_order()) == set(MAY_IMPORT)
+    for lower in MAY_IMPORT.values():
+        assert all(MAY_IMPORT[other] <= lower for other in lower)
+
+
+@pytest.mark.parametrize("module", MODULES, ids=_name)
+def test_module__imports_only_from_below(module: Path) -> None:
+    own = _folder(module)
+    astray = {
+        _name(other) for other in IMPORTED[module] if _folder(other) not in MAY_IMPORT[own] | {own}
+    }
     assert astray == set()
+
+
+def test_modules__import_one_another_in_no_circle() -> None:
+    assert set(TopologicalSorter(IMPORTED).static_order()) == set(MODULES)
+
+
+@pytest.mark.parametrize("module", MODULES, ids=_name)
+def test_packages_of_others__are_imported_only_at_home(module: Path) -> None:
+    foreign = _foreign(module) - EVERYWHERE
+    assert {top for top in foreign if not _name(module).startswith(HOMES.get(top, ()))} == set()
+
+
+def test_packages_of_others__are_declared() -> None:
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    declared = {re.match(r"[\w-]+", line)[0] for line in project["dependencies"]}
+    owners = importlib.metadata.packages_distributions()
+    imported = set().union(*map(_foreign, MODULES))
+    assert {top for top in imported if not declared & set(owners[top])} == set()
 
 
 def test_package__is_imported_without_its_heavy_dependencies() -> None:

@@ -23,8 +23,6 @@ app.command(data.app, name="data", help="Make, import, describe, check or draw d
 
 def main(arguments: list[str] | None = None) -> None:
     """Runs the command line; exits with 2 after a refusal, with 130 after Ctrl-C."""
-    # XLA takes its own compiled programs, read back from disk, for those of another machine.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     arguments = sys.argv[1:] if arguments is None else arguments
     provenance.arguments.set(tuple(arguments))
     try:

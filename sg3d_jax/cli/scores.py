@@ -133,6 +133,7 @@ def sheet(
     num_graphs: int = 6,
     first: int = 0,
     seed: int = 0,
+    code: Code = (),
 ) -> None:
     """Draw what methods make of the same scenes: a row a method, the truth below.
 
@@ -144,6 +145,7 @@ def sheet(
       num_graphs: how many scenes, one a column.
       first: the first of them.
       seed: of the samples.
+      code: Python files to run first, which register the methods of your own weights.
     """
     from sg3d_jax.train.dataset import load_split
     from sg3d_jax.train.evaluation import load_contender
@@ -154,6 +156,7 @@ def sheet(
     check_at_least("--first", first, 0)
     check_at_least("--seed", seed, 0)
     check_output(output, PICTURES)
+    run_code(code)
     chosen = [load_contender(method, data) for method in methods]
     source, *others = (method.data for method in chosen)
     for name, other in zip(methods[1:], others, strict=True):

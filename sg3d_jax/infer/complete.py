@@ -93,7 +93,8 @@ def complete(
         if value < 1:
             raise ValueError(f"{name} is {value}, expected at least 1")
     if keep and not isinstance(model, Flagg):
-        raise ValueError("keep: this model completes planes alone, expected one that grows")
+        given = model.ontology.observed_plural
+        raise ValueError(f"keep: this model completes {given} alone, expected one that grows")
     prepared = prepare(scenes, model.ontology, keep, names)
     drawn = complete_lanes(model, params, prepared, seed, samples * candidates, max_steps, lanes)
     completions = [

@@ -24,12 +24,12 @@ class Scene(NamedTuple):
 
 
 def prepare(
-    scenes: Sequence[SceneGraph], ontology: Ontology, keep: bool, names: Sequence[str] | None = None
+    scenes: Any, ontology: Ontology, keep: bool, names: Sequence[str] | None = None
 ) -> list[Scene]:
     """Checks host graphs and takes of each what is given.
 
     Args:
-      scenes: host graphs: observed nodes, or more.
+      scenes: host graphs, observed nodes or more; not yet trusted.
       ontology: the concepts that the model knows.
       keep: whether everything in a scene is given, such as known rooms, or its observed nodes only.
       names: what a refusal calls each scene; "scene 0", "scene 1" and so on by default.

@@ -130,6 +130,11 @@ class Ontology:
         return np.array([concept.observed for concept in self.concepts], bool)
 
     @functools.cached_property
+    def observed_plural(self) -> str:
+        """What messages call observed nodes, such as "planes"."""
+        return " or ".join(concept.layer.lower() for concept in self.concepts if concept.observed)
+
+    @functools.cached_property
     def is_above(self) -> np.ndarray:
         """bool[C], which concepts stand above their parts."""
         return np.array([concept.above for concept in self.concepts], bool)

@@ -62,7 +62,7 @@ def checked_observed(graph: SceneGraph, where: str) -> SceneGraph:
     _refuse(where, "nodes", "label", label, ~_is_known(graph), _known_labels(graph))
     kinds = [kind for kind in range(ontology.num_concepts) if ontology.is_observed[kind]]
     observed = np.isin(label, kinds)
-    plural = " or ".join(ontology.concepts[kind].layer.lower() for kind in kinds)
+    plural = ontology.observed_plural
     if observed.sum() < LEAST_OBSERVED:
         held = f"one {ontology.names[label[observed][0]]}" if observed.any() else f"no {plural}"
         raise ValueError(f"{where}: {plural} holds {held}, expected at least two to group")
@@ -92,7 +92,7 @@ def _check_intake(
         skewed = ~_is_unit(normal, INTAKE_UNIT_TOLERANCE)
         _refuse(where, plural, "normal", normal, skewed, "length 1")
         tilted = np.abs(normal[:, 2]) > MAX_TILT
-        expected = f"|z| <= {MAX_TILT}, as of vertical planes"
+        expected = f"|z| <= {MAX_TILT}, as of vertical {plural}"
         _refuse(where, plural, "normal", normal, tilted, expected)
     if "width" in features:
         width = columns["width"]

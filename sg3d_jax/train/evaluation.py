@@ -10,7 +10,7 @@ import numpy as np
 from sg3d_jax.baselines import rand
 from sg3d_jax.infer.complete import complete, share_halted
 from sg3d_jax.io.formats import READABLE, read_graphs
-from sg3d_jax.scene.graph import SceneGraph, observed_of
+from sg3d_jax.scene.graph import SceneGraph, observed_of, ontology_of
 from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split
 from sg3d_jax.train.methods import METHODS, sampling_steps
@@ -123,5 +123,6 @@ def _read(path: str, scenes: Sequence[SceneGraph]) -> list[SceneGraph]:
     for index, pair in enumerate(zip(graphs, scenes, strict=True)):
         made, given = (observed_of(graph).nodes.position for graph in pair)
         if made.shape != given.shape or not np.allclose(made, given, atol=1e-6):
-            raise ValueError(f"{path}: graph {index} has other planes than its scene")
+            observed = ontology_of(pair[1]).observed_plural
+            raise ValueError(f"{path}: graph {index} has other {observed} than its scene")
     return graphs

@@ -75,7 +75,8 @@ def statistics_of(
         share * _label_shares(graphs) for share, graphs in zip(shares, stacks, strict=True)
     )
     if not np.any(labels):
-        raise ValueError("no training graph has a node beside its planes, expected at least one")
+        given = ontology_of(stacks[0]).observed_plural
+        raise ValueError(f"no training graph has a node beside its {given}, expected at least one")
     moments = jax.tree.map(
         lambda *leaves: np.tensordot(shares, np.asarray(leaves, np.float64), axes=1), *counted
     )

@@ -28,14 +28,19 @@ TrainCall = Callable[[TrainState, Key[Array, ""], SceneGraph], tuple[TrainState,
 
 
 def make_optimiser(config: Config) -> optax.GradientTransformation:
-    """Builds AdamW with warm-up, cosine decay to zero over the run, and clipping by global norm."""
+    """Builds AdamW with warm-up, cosine decay to zero over the run, and clipping by global norm.
+
+    It works on all parameters as one vector: a few programs to compile, not a few a parameter.
+    """
     settings = config.optimiser
     rate = optax.warmup_cosine_decay_schedule(
         0.0, settings.learning_rate, settings.warmup_steps, config.steps
     )
-    return optax.chain(
-        optax.clip_by_global_norm(settings.clip_norm),
-        optax.adamw(rate, weight_decay=settings.weight_decay),
+    return optax.flatten(
+        optax.chain(
+            optax.clip_by_global_norm(settings.clip_norm),
+            optax.adamw(rate, weight_decay=settings.weight_decay),
+        )
     )
 
 

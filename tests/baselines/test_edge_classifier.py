@@ -8,23 +8,24 @@ import numpy as np
 import optax
 import pytest
 
-from sg3d_jax.baselines import edge_classifier as ec
 from sg3d_jax.baselines.edge_classifier import (
+    ECL,
     Classified,
     ECLConfig,
+    ECSquare,
     ECSquareConfig,
     certainty_of,
-    complete,
-    make_edge_classifier,
+    classify_batch,
     sharing,
     target,
     turned,
 )
 from sg3d_jax.baselines.edge_features import Scales, near_planes
 from sg3d_jax.data.synthetic import S_F, S_F_SQUARE, make_scene
+from sg3d_jax.infer.complete import complete
 from sg3d_jax.metrics.structure import exact_structure
+from sg3d_jax.scene.graph import features_of, make_graph, observed_of, undirected_edges
 from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
-from sg3d_jax.scene.graph import make_graph, observed_of, undirected_edges
 from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import (
@@ -40,11 +41,11 @@ from tests.two_rooms import (
 )
 
 SCENE = two_rooms()
-SCALES = Scales(jnp.float32(1), jnp.float32(5), jnp.float32(10))
+SCALES = Scales(1.0, 5.0, 10.0)
 SQUARE = ECSquareConfig(heads=2, width=4, decoder=(8,))
 L = ECLConfig(node_width=4, heads=2, edge_width=5, decoder=(8,), readout_width=6)
 CERTAIN = dataclasses.replace(L, dropout=0.0)
-MODELS = {config: make_edge_classifier(config, SCALES) for config in (SQUARE, L, CERTAIN)}
+MODELS = {SQUARE: ECSquare(SQUARE, SCALES), L: ECL(L, SCALES), CERTAIN: ECL(CERTAIN, SCALES)}
 KEY = functools.partial(jax.random.key, 3)
 either = pytest.mark.parametrize("config", [SQUARE, L])
 connected = jax.jit(connect_observed)
@@ -80,14 +81,13 @@ def by_pair(config, graph):
 
 
 @pytest.mark.parametrize(
-    ("config", "expected"),
+    ("model", "expected"),
     [
-        (ECSquareConfig(), {"room": 21_985, "wall": 21_985}),
-        (ECLConfig(), {"classifier": 106_963}),
+        (ECSquare(ECSquareConfig(), SCALES), {"room": 21_985, "wall": 21_985}),
+        (ECL(ECLConfig(), SCALES), {"classifier": 106_963}),
     ],
 )
-def test_networks__have_as_many_parameters_as_the_originals(config, expected):
-    model = make_edge_classifier(config, SCALES)
+def test_networks__have_as_many_parameters_as_the_originals(model, expected):
     params = jax.eval_shape(model.init, KEY(), on_device(SCENE))
     for name, number in expected.items():
         assert sum(leaf.size for leaf in jax.tree.leaves(params[name])) == number
@@ -111,7 +111,9 @@ def test_pairs_of_planes__share_the_rooms_and_walls_that_they_are_parts_of():
 def test_classification__sees_planes_and_their_proximity_alone(config):
     whole = by_pair(config, on_device(SCENE))
     near = undirected_edges(SCENE, PROXIMITY)
-    planes = make_graph(*observed_of(SCENE).nodes[:4], part_of=[], proximity=near)
+    alone = observed_of(SCENE)
+    nodes, features = alone.nodes, features_of(alone)
+    planes = make_graph(nodes.label, nodes.position, **features, proximity=near)
     np.testing.assert_allclose(whole, by_pair(config, on_device(planes)), atol=1e-4)
 
 
@@ -199,7 +201,7 @@ def test_certainty__is_one_less_the_entropy_of_the_mean_prediction():
 @pytest.mark.parametrize("passes", [0, 10])
 def test_passes_with_dropout__change_the_certainty_and_not_the_classes(passes):
     config = dataclasses.replace(L, certainty_passes=passes)
-    classify = jax.jit(make_edge_classifier(config, SCALES).classify)
+    classify = jax.jit(ECL(config, SCALES).classify)
     found, again = (
         classify(params_of(L), jax.random.key(seed), on_device(SCENE)) for seed in (0, 1)
     )
@@ -209,16 +211,24 @@ def test_passes_with_dropout__change_the_certainty_and_not_the_classes(passes):
     assert ((found.certainty >= 0) & (found.certainty <= 1)).all()
 
 
-def oracle(config):
-    """Returns a model that knows the classes: its parameters are same room and same wall, N x N."""
+class Knowing:
+    """A model that knows the classes: its parameters are same room and same wall, N x N."""
 
-    def classify(params, key, graph):
+    def classify(self, params, key, graph):
         ends = graph.senders, graph.receivers
         near = near_planes(graph).mask
-        return Classified(*(near & table[ends] for table in params), jnp.ones(near.shape))
+        tables = [near & table[ends] for table in params["truth"]]
+        return Classified(*tables, jnp.ones(near.shape))
 
-    model = make_edge_classifier(dataclasses.replace(config), SCALES)
-    return model._replace(classify=classify, offset=ec._no_offset)
+
+@dataclasses.dataclass(frozen=True)
+class KnowingSquare(Knowing, ECSquare):
+    pass
+
+
+@dataclasses.dataclass(frozen=True)
+class KnowingL(Knowing, ECL):
+    pass
 
 
 def truth_of(scene, capacity):
@@ -243,16 +253,21 @@ def all_near(scene, tables, capacity):
 
 
 @pytest.mark.parametrize(
-    ("config", "drawn"), [(ECSquareConfig(), S_F_SQUARE), (ECLConfig(), S_F)], ids=["square", "l"]
+    ("model", "drawn"),
+    [
+        (KnowingSquare(ECSquareConfig(), SCALES), S_F_SQUARE),
+        (KnowingL(ECLConfig(room_centroids="mean"), SCALES), S_F),
+    ],
+    ids=["square", "l"],
 )
-def test_perfect_pairs__give_the_true_rooms_and_walls(config, drawn):
-    model, sizes = oracle(config), []
+def test_perfect_pairs__give_the_true_rooms_and_walls(model, drawn):
+    sizes = []
     for index in range(12):
         scene = make_scene(drawn, 5, index)
-        capacity = ec._capacity(len(observed_of(scene).nodes.label))
+        capacity = model.capacity(len(observed_of(scene).nodes.label), 0)
         tables = truth_of(scene, capacity)
         if capacity.nodes <= 32 and all_near(scene, tables, capacity):
-            [[found]] = complete(model, jnp.asarray(tables), [scene])
+            [[found]] = complete(model, {"truth": jnp.asarray(tables)}, [scene])
             validate_graph(found.graph, "found")
             assert exact_structure(found.graph, target(scene))
             walls = found.graph.nodes.position[found.graph.nodes.label == WALL]
@@ -267,41 +282,8 @@ def test_perfect_pairs__give_the_true_rooms_and_walls(config, drawn):
     assert (max(sizes) > 4) == (drawn == S_F)
 
 
-def first_planes(count):
-    planes = observed_of(SCENE)
-    nodes = jax.tree.map(lambda field: field[:count], planes.nodes)
-    return planes._replace(nodes=nodes, n_node=np.array([count], np.int32))
-
-
 def same(one, other):
     return all(jax.tree.leaves(jax.tree.map(np.array_equal, one, other)))
-
-
-@either
-@pytest.mark.parametrize("offset", [(0, 0, 0), (5e6 + 0.123456789, -5e6, 100.0)])
-def test_planes__come_first_and_bit_for_bit_wherever_the_building_stands(config, offset):
-    scene = moved(SCENE, 0.3, offset)
-    [[found]] = complete(MODELS[config], params_of(config), [scene])
-    validate_graph(found.graph, "found")
-    for mine, given in zip(found.graph.nodes, observed_of(scene).nodes, strict=True):
-        assert mine.dtype == given.dtype
-        np.testing.assert_array_equal(mine[:NUM_PLANES], given)
-    new = found.graph.nodes.label[NUM_PLANES:]
-    assert len(new)
-    assert new.tolist() == sorted(new.tolist(), key=(WALL, ROOM).index)
-    assert (found.halt_reason, found.steps) == ("ONE_SHOT", 1)
-
-
-def test_a_graph__does_not_depend_on_what_it_is_completed_with():
-    scenes = [first_planes(count) for count in (8, 3, 6, 2, 7)]
-    model, params = MODELS[L], params_of(L)
-    together = complete(model, params, scenes, seed=7, samples=2)
-    alone = complete(model, params, scenes[:1], seed=7)
-    assert [len(samples) for samples in together] == [2] * 5
-    assert same(alone[0][0], together[0][0])
-    for scene, samples in zip(scenes, together, strict=True):
-        for one in samples:
-            assert (one.graph.nodes.label == PLANE).sum() == len(scene.nodes.label)
 
 
 def test_seeds__do_not_change_what_ec_square_finds():
@@ -309,32 +291,34 @@ def test_seeds__do_not_change_what_ec_square_finds():
     assert same(one, other)
 
 
+TRACED = []
+
+
+@dataclasses.dataclass(frozen=True)
+class Traced(ECSquare):
+    def classify(self, params, key, graph):
+        TRACED.append(graph.nodes.mask.shape)
+        nothing = jnp.zeros(graph.edges.mask.shape, bool)
+        return Classified(nothing, nothing, jnp.ones(nothing.shape))
+
+
 def test_networks__are_compiled_once_a_bucket():
-    traced = []
-
-    def classify(params, key, graph):
-        traced.append(graph.nodes.mask.shape)
-        return Classified(
-            *[jnp.zeros(graph.edges.mask.shape, bool)] * 2, jnp.ones(graph.edges.mask.shape)
-        )
-
-    model = MODELS[SQUARE]._replace(classify=classify)
+    TRACED.clear()
+    classify_batch.clear_cache()
     floors = [make_scene(S_F_SQUARE, 0, index) for index in range(8)]
-    found = complete(model, {}, floors)
-    complete(model, {}, floors[::-1], seed=3)
-    assert len(traced) == len(set(traced)) > 1
+    found = complete(Traced(SQUARE, SCALES), {}, floors)
+    complete(Traced(SQUARE, Scales(1.0, 5.0, 10.0)), {}, floors[::-1], seed=3)
+    assert len(TRACED) == len(set(TRACED)) > 1
     for (one,), floor in zip(found, floors, strict=True):
         assert same(one.graph.nodes, observed_of(floor).nodes)
 
 
 def test_regressed_rooms__stand_off_the_mean_of_their_planes():
-    means = make_edge_classifier(dataclasses.replace(L, room_centroids="mean"), SCALES)
-    truth = jnp.asarray(truth_of(SCENE, ec._capacity(NUM_PLANES)))
-    know = {"classify": lambda params, key, graph: oracle(L).classify(truth, key, graph)}
-    (one,), (other,) = (
-        complete(model._replace(**know), params_of(L), [lopsided()])[0]
-        for model in (MODELS[L], means)
-    )
+    regressed = KnowingL(L, SCALES)
+    means = KnowingL(dataclasses.replace(L, room_centroids="mean"), SCALES)
+    truth = jnp.asarray(truth_of(SCENE, regressed.capacity(NUM_PLANES, 0)))
+    params = {**params_of(L), "truth": truth}
+    (one,), (other,) = (complete(model, params, [lopsided()])[0] for model in (regressed, means))
     np.testing.assert_array_equal(one.graph.senders, other.graph.senders)
     apart = np.abs(one.graph.nodes.position - other.graph.nodes.position).max(axis=-1)
     np.testing.assert_array_equal(apart > 1e-4, one.graph.nodes.label == ROOM)

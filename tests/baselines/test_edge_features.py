@@ -19,7 +19,7 @@ from sg3d_jax.scene.padding import stack
 from tests.two_rooms import CAPACITY, NUM_PLANES, moved, on_device, two_rooms, with_garbage
 
 SCENE = two_rooms()
-SCALES = Scales(jnp.float32(1), jnp.float32(5), jnp.float32(10))
+SCALES = Scales(1.0, 5.0, 10.0)
 run = jax.jit(lambda graph: (absolute_features(graph, SCALES), relative_features(graph, SCALES)))
 
 
@@ -36,7 +36,7 @@ def segments(position, angle, width):
     normal = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
     position = np.concatenate([position, np.zeros((len(position), 1))], axis=-1)
     label, mask = np.zeros(len(width), int), np.ones(len(width), bool)
-    return Nodes(*(jnp.asarray(x) for x in (label, position, normal, width, mask)))
+    return Nodes(*(jnp.asarray(x) for x in (label, position, normal, width, mask, mask)))
 
 
 def test_segment_distance__is_that_of_the_segments_of_the_planes():

@@ -7,18 +7,21 @@ import numpy as np
 import pytest
 
 from sg3d_jax.baselines.midi_oracle import (
+    MiDiOracle,
     MiDiOracleConfig,
-    complete,
+    check_one_shot,
     inpaint,
-    make_midi_oracle,
+    one_shot_capacity,
+    one_shot_cut,
 )
 from sg3d_jax.fill import midi
 from sg3d_jax.fill.midi import Frame, make_schedules
-from sg3d_jax.flagg.removal import one_shot_capacity, one_shot_cut
+from sg3d_jax.flagg.grow import ONE_SHOT
+from sg3d_jax.infer.complete import complete
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
-from sg3d_jax.scene.ontology import NUM_CONCEPTS, PART_OF, PLANE
-from sg3d_jax.scene.graph import observed_of, undirected_edges
-from sg3d_jax.scene.padding import unpad
+from sg3d_jax.scene.graph import observed_of, subgraph, undirected_edges
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PLANE, PROXIMITY, ROOM
+from sg3d_jax.scene.padding import part_of_adjacency, unpad
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import (
     CAPACITY,
@@ -40,7 +43,8 @@ SIZES = MiDiOracleConfig(
 )
 SCENE = two_rooms()
 NUM_NEW = len(SCENE.nodes.label) - NUM_PLANES
-MODEL = make_midi_oracle(SIZES, STATISTICS)
+NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
+MODEL = MiDiOracle(SIZES, STATISTICS)
 
 
 class Certain(RelaxedTransformer):
@@ -70,7 +74,7 @@ def test_every_parameter__is_trained(params):
 @jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
 @pytest.mark.parametrize("resamplings", [0, 2])
 def test_samples__have_the_planes_bit_for_bit_and_as_many_nodes_as_told(params, resamplings):
-    model = make_midi_oracle(dataclasses.replace(SIZES, resamplings=resamplings), STATISTICS)
+    model = MiDiOracle(dataclasses.replace(SIZES, resamplings=resamplings), STATISTICS)
     planes = on_device(observed_of(SCENE))
     for number in (1, NUM_NEW):
         grown = jax.jit(model.sample)(params, jax.random.key(2), planes, jnp.asarray(number))
@@ -86,7 +90,7 @@ def test_samples__have_the_planes_bit_for_bit_and_as_many_nodes_as_told(params, 
 @jax.debug_key_reuse(False)
 def test_a_certain_network__gives_the_scene(monkeypatch, params):
     monkeypatch.setattr(midi, "RelaxedTransformer", Certain)
-    model = make_midi_oracle(dataclasses.replace(SIZES, resamplings=1), STATISTICS)
+    model = MiDiOracle(dataclasses.replace(SIZES, resamplings=1), STATISTICS)
     [[grown]] = complete(model, params, [SCENE])
     assert (grown.halt_reason, grown.steps) == ("ONE_SHOT", 1)
     np.testing.assert_array_equal(grown.graph.nodes.label, SCENE.nodes.label)
@@ -116,39 +120,49 @@ def test_inpainted_planes__are_the_truth_with_the_noise_of_their_time(time):
 
 
 @jax.debug_key_reuse(False)
-def test_completing__does_not_depend_on_the_batch_and_shifts_with_the_scene(params):
-    few = floor_alone(SCENE)
-    far = moved(SCENE, offset=(30, -20, 2))
-    together = complete(MODEL, params, [SCENE, few, far], seed=4, samples=2)
-    [alone] = complete(MODEL, params, [SCENE], seed=4, samples=2)
-    for one, other in zip(together[0], alone, strict=True):
-        assert all(jax.tree.leaves(jax.tree.map(np.array_equal, one, other)))
-    assert not np.array_equal(alone[0].graph.nodes.position, alone[1].graph.nodes.position)
-    for scene, samples in zip((SCENE, few, far), together, strict=True):
-        for completion in samples:
-            assert len(completion.graph.nodes.label) == len(scene.nodes.label)
-            planes = completion.graph.nodes.position[: (scene.nodes.label == PLANE).sum()]
-            np.testing.assert_array_equal(planes, scene.nodes.position[scene.nodes.label == PLANE])
-
-
-def floor_alone(scene):
-    """The scene with its last node, the floor, alone beside its planes."""
-    nodes = jax.tree.map(lambda field: field[[*range(NUM_PLANES), 11]], scene.nodes)
-    nothing = np.zeros(0, np.int32)
-    return scene._replace(
-        nodes=nodes,
-        edges=jax.tree.map(lambda field: field[:0], scene.edges),
-        senders=nothing,
-        receivers=nothing,
-        n_node=np.array([9], np.int32),
-        n_edge=np.array([0], np.int32),
-    )
-
-
-def test_a_scene_without_anything_but_planes__is_refused(params):
-    with pytest.raises(ValueError, match=r"^scene 1 has planes alone, expected a complete graph"):
-        complete(MODEL, params, [SCENE, observed_of(SCENE)])
+def test_samples__of_every_step_of_the_schedule_are_finite(params):
+    """As many steps as are trained: the signal of the last ones is 1.0 in float32."""
+    steps = 350
+    config = dataclasses.replace(SIZES, diffusion_steps=steps, sampling_steps=steps, resamplings=1)
+    assert make_schedules(config).position[1] == 1
+    planes, sample = on_device(observed_of(SCENE)), jax.jit(MiDiOracle(config, STATISTICS).sample)
+    grown = sample(params, jax.random.key(4), planes, jnp.asarray(2))
+    assert grown.halt_reason == ONE_SHOT
+    chex.assert_tree_all_finite(grown.graph)
 
 
 def test_the_room_for_new_nodes__is_enough_for_the_scene():
     assert one_shot_capacity(CAPACITY.nodes) >= NUM_NEW
+
+
+def test_one_shot__leaves_the_planes_and_takes_all_else_as_one_block():
+    graph = on_device(SCENE)
+    cut = jax.tree.map(np.asarray, jax.jit(one_shot_cut)(graph))
+    num_nodes, num_block = len(graph.nodes.mask), one_shot_capacity(len(graph.nodes.mask))
+    truth = np.asarray(part_of_adjacency(graph))
+    np.testing.assert_array_equal(cut.survivors.nodes.mask, np.arange(num_nodes) < NUM_PLANES)
+    np.testing.assert_array_equal(
+        undirected_edges(cut.survivors, PROXIMITY), undirected_edges(SCENE, PROXIMITY)
+    )
+    assert not part_of_adjacency(cut.survivors).any()
+    assert len(cut.block.mask) == num_block
+    np.testing.assert_array_equal(np.flatnonzero(cut.block.mask), range(NUM_NEW))
+    high = slice(NUM_PLANES, NUM_PLANES + NUM_NEW)
+    np.testing.assert_array_equal(cut.block.label[:NUM_NEW], SCENE.nodes.label[high])
+    np.testing.assert_allclose(cut.block.position[:NUM_NEW], SCENE.nodes.position[high], rtol=1e-6)
+    expected = np.concatenate([truth[high, high], truth[high, :NUM_PLANES]], axis=1)
+    found = np.delete(cut.block.edges[:NUM_NEW], np.s_[NUM_NEW:num_block], axis=1)
+    np.testing.assert_array_equal(found[:, : NUM_NEW + NUM_PLANES], expected)
+    assert cut.block.edges.sum() == expected.sum()
+
+
+def test_one_shot__is_refused_where_a_bucket_has_no_room():
+    graphs = jax.tree.map(lambda leaf: leaf[None], on_device(SCENE))
+    check_one_shot([graphs])
+    observed = jnp.arange(graphs.nodes.label.shape[1])[None] < 3
+    nodes = graphs.nodes._replace(label=jnp.where(observed, PLANE, ROOM), observed=observed)
+    crowded = graphs._replace(nodes=nodes)
+    with pytest.raises(
+        ValueError, match="bucket of 16 nodes has 9 that are not planes, expected at"
+    ):
+        check_one_shot([graphs, crowded])

@@ -203,6 +203,19 @@ def test_stress__is_as_low_as_scipy_gets_it_from_the_same_start(num_new, toleran
         assert stress(instance.solve(), instance) <= lowest + tolerance
 
 
+@pytest.mark.parametrize("stretch", [0.6, 1.5])
+def test_stress__comes_to_a_minimum_also_where_the_first_steps_are_far_too_long(stretch):
+    """Old nodes of nearly one height hardly curve the stress upwards: damping must be raised."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        links = old_links(0, rng.choice(8, rng.integers(3, 8), replace=False))
+        truth = rng.normal(0, 0.5, 3) * [1, 1, 0.1]
+        instance = problem(links, [truth], walls_of_room(tilt=0.1), stretch=stretch)
+        found = instance.solve()
+        fit = least_squares(residuals, found[0], args=(instance, slice(1)), xtol=1e-12, ftol=1e-12)
+        assert stress(found, instance) <= np.sum(fit.fun**2) + 1e-4
+
+
 def inconsistent(seed: int, num_new: int) -> Problem:
     """New nodes among coplanar old ones, with distances that are off by a few percent."""
     rng = np.random.default_rng(seed)

@@ -156,9 +156,7 @@ def test_errors_of_positions__weigh_as_their_signal_to_noise_up_to_a_limit(
     monkeypatch.setattr(midi, "apply", at_origin)
     levels = Schedules(*map(jnp.float32, (signal, 0.5, 0.4)))
     inputs = conditioning, Frame(centre, jnp.float32(2)), wall(), levels, jnp.asarray(1)
-    terms = midi.losses(
-        FILL.network, {}, jax.random.key(8), *inputs, STATISTICS.marginals
-    )
+    terms = midi.losses(FILL.network, {}, jax.random.key(8), *inputs, STATISTICS.marginals)
     squared = np.mean(((np.asarray(wall().position) - np.asarray(centre)) / 2) ** 2)
     np.testing.assert_allclose(terms["position"], weight * squared, rtol=1e-4)
 
@@ -188,7 +186,9 @@ def test_noise__of_positions_keeps_its_centre_of_mass():
 
     def mean_of(key):
         clean = midi.state_of(block, frame)
-        noisy: State = midi.add_noise(key, clean, signal, block.mask, old_mask, STATISTICS.marginals)
+        noisy: State = midi.add_noise(
+            key, clean, signal, block.mask, old_mask, STATISTICS.marginals
+        )
         return jnp.mean(noisy.position, axis=0)
 
     means = jax.jit(jax.vmap(mean_of))(jax.random.split(jax.random.key(7), 2000))

@@ -89,7 +89,7 @@ def test_a_partial_graph__is_kept_bit_for_bit_and_comes_first():
     grown = growing(MODEL, stop_at(14), jax.random.key(1), scene, 50)
     assert_begins_with(grown.graph, scene)
     graph = unpad(grown.graph)
-    validate_graph(graph, "grown", rules=False)
+    validate_graph(graph, "grown")
     assert (graph.nodes.label[11:] == ROOM).all()
     assert len(graph.nodes.label) in (14, 15)
     assert len(undirected_edges(graph, PROXIMITY)) == 0

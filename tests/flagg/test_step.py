@@ -39,7 +39,9 @@ class ConstantFill(AddRooms):
 
 @pytest.fixture(scope="module")
 def simple():
-    model = make_flagg(FlaggConfig(coins=(1, 2), width=4, depth=1, corruption=QUIET), ConstantFill())
+    model = make_flagg(
+        FlaggConfig(coins=(1, 2), width=4, depth=1, corruption=QUIET), ConstantFill()
+    )
     params = random_params(functools.partial(model.init, graph=on_device(SCENE)))
     return model, params._replace(fill=jnp.float32(3))
 
@@ -190,6 +192,8 @@ def test_models_that_are_built_alike__are_one(fill, config, field):
 
 
 def test_an_order_of_other_concepts__is_refused():
-    with pytest.raises(ValueError, match=r"flagg\.layers must name each of wall, room, flat, floor"):
+    with pytest.raises(
+        ValueError, match=r"flagg\.layers must name each of wall, room, flat, floor"
+    ):
         make_flagg(FlaggConfig(layers=PAPER_LAYERS), AddRooms(ontology=ONTOLOGY))
     make_flagg(FlaggConfig(layers=PAPER_LAYERS), AddRooms())

@@ -175,6 +175,18 @@ def test_outputs__see_the_noisy_edges_and_the_old_graph(params, expected):
             assert np.abs(one - two).max() > 1e-4
 
 
+@pytest.mark.parametrize(("num_new", "alone"), [(1, True), (2, False)])
+def test_rivals__are_the_other_new_nodes_alone(params, num_new, alone):
+    """What a node claims itself, and what padding claims, does not come back to it as a rival."""
+    inputs, graph = draw_inputs(num_new), on_device(SCENE)
+    kernel = params["topology"]["params"]["layers"]["context"]["kernel"]
+    louder = kernel.at[:, -TOPOLOGY.gates :].multiply(3)  # behind what is spread along the graph
+    changed = jax.tree.map(lambda leaf: louder if leaf is kernel else leaf, params)
+    found, expected = (run(of, graph, inputs)[1][:num_new] for of in (changed, params))
+    real = np.r_[:num_new, NUM_BLOCK : NUM_BLOCK + NUM_OLD]
+    assert np.allclose(found[:, real], expected[:, real], atol=1e-6) == alone
+
+
 def test_gradient__is_finite_where_everything_is_padding(params):
     graph = jax.tree.map(jnp.zeros_like, on_device(SCENE))
     nothing = jax.tree.map(np.zeros_like, draw_inputs())

@@ -6,10 +6,12 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.nn.kin import connect_kin
+from sg3d_jax.nn.kin import connect_kin, hears_kin, kin_fit, kin_slots
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.ontology import BUILDING, FLOOR, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.padding import Capacity, pad
+from tests import own_world
+from tests.two_rooms import on_device, with_garbage
 
 CAPACITY = Capacity(64, 1024)
 
@@ -48,3 +50,27 @@ def test_kin__beyond_the_slots_for_them_are_left_out():
     found = jax.jit(connect_kin, static_argnums=1)(padded, 8)
     kept = np.asarray(found.receivers)[np.asarray(found.edges.mask)]
     assert set(kept.tolist()) == {2, 3, 4, 5}
+
+
+@pytest.mark.parametrize("num_rooms", [3, 4, 5, 6])
+def test_kin__fit_up_to_a_third_of_the_slots(num_rooms):
+    label = np.array([PLANE] * 2 + [WALL] * 2 + [ROOM] * (num_rooms - 1) + [FLOOR])
+    graph = on_device(make_graph(label, np.zeros((len(label), 3))), Capacity(16, 16))
+    assert kin_slots(16) == 5
+    assert kin_fit(graph) == (num_rooms <= 5)
+    assert kin_fit(with_garbage(graph, 0)) == (num_rooms <= 5)
+
+
+def test_those_that_hear_of_their_kin__are_named_by_the_ontology():
+    scene = own_world.own_world()
+    graph = on_device(scene, Capacity(24, 288))
+    hearing = [own_world.ROOM, own_world.FLAT, own_world.FLOOR]
+    expected = np.pad(np.isin(scene.nodes.label, hearing), (0, 24 - len(scene.nodes.label)))
+    npt.assert_array_equal(hears_kin(graph), expected)
+    npt.assert_array_equal(hears_kin(with_garbage(graph, 1)), expected)
+    found = jax.jit(connect_kin, static_argnums=1)(graph, 2)
+    new = np.asarray(found.edges.mask)[288:]
+    ends = np.stack([found.senders, found.receivers], axis=-1)[288:][new]
+    label = scene.nodes.label[ends]
+    npt.assert_array_equal(label[:, 0], label[:, 1])
+    assert np.bincount(label[:, 1]).tolist() == [0, 0, 0, 3 * 2, 2 * 1]  # the floor is alone

@@ -236,7 +236,8 @@ def test_the_loss_of_the_model_falls_within_few_steps(trained):
 
 def test_every_parameter_of_the_model_receives_a_finite_gradient(trained):
     last = restored(trained, trained.directory, trained.run.config.steps)
-    squares = optax.tree.get(last.optimiser, "nu")
+    _, by_path = jax.flatten_util.ravel_pytree(last.params)  # the optimiser holds one vector
+    squares = by_path(optax.tree.get(last.optimiser, "nu"))
     for path, square in jax.tree.leaves_with_path(squares):
         assert np.isfinite(square).all(), path
         assert np.any(square > 0), path

@@ -1,0 +1,191 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sg3d_jax.baselines.edge_classifier import ECL, ECLConfig, ECSquare, ECSquareConfig
+from sg3d_jax.baselines.edge_features import Scales
+from sg3d_jax.baselines.midi_oracle import MiDiOracle, MiDiOracleConfig
+from sg3d_jax.flagg.grow import grow_lanes
+from sg3d_jax.infer.complete import Completion, complete
+from sg3d_jax.infer.lanes import growth_capacity
+from sg3d_jax.scene.graph import SceneGraph, observed_of, subgraph, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.validate import validate_graph
+from tests.growing_rooms import MODEL, NEVER, AddRooms, grows_rooms, stop_at
+from tests.two_rooms import NUM_PLANES, STATISTICS, moved, on_device, random_params, two_rooms
+
+SCENE = two_rooms()
+SCALES = Scales(1.0, 5.0, 10.0)
+CLASSIFIERS = (
+    ECSquare(ECSquareConfig(heads=2, width=4, decoder=(8,)), SCALES),
+    ECL(ECLConfig(node_width=4, heads=2, edge_width=5, decoder=(8,), readout_width=6), SCALES),
+)
+ORACLE = MiDiOracle(
+    MiDiOracleConfig(*(8, 1, 2, 8, 8, 1, 2), diffusion_steps=3, sampling_steps=3, resamplings=0),
+    STATISTICS,
+)
+
+
+@pytest.fixture(autouse=True)
+def _no_check_of_key_reuse():
+    """JAX takes a vmapped loop over keys for their reuse."""
+    with jax.debug_key_reuse(False):
+        yield
+
+
+def first_planes(count: int) -> SceneGraph:
+    return subgraph(observed_of(SCENE), np.arange(count))
+
+
+def same(one: Completion, other: Completion) -> bool:
+    equal = jax.tree.map(np.array_equal, one, other)
+    return all(jax.tree.leaves(equal))
+
+
+def sure_params(model):
+    """Returns parameters of an edge classifier that is sure of some pairs."""
+    return jax.tree.map(lambda leaf: 2 * leaf, random_params(model.init, on_device(SCENE)))
+
+
+@pytest.mark.parametrize(
+    ("params", "max_steps", "reason"),
+    [(stop_at(13), 50, "HALTED"), (NEVER, 3, "MAX_STEPS")],
+)
+def test_growing__ends_for_each_of_its_reasons(params, max_steps, reason):
+    [[grown]] = complete(MODEL, params, [SCENE], max_steps=max_steps)
+    num_new = len(grown.graph.nodes.label) - NUM_PLANES
+    assert grown.halt_reason == reason
+    assert grown.steps <= num_new <= 2 * grown.steps
+    if reason == "HALTED":
+        assert num_new in (5, 6)
+    else:
+        assert grown.steps == max_steps
+
+
+def test_halting__goes_before_the_limit_on_steps():
+    [[grown]] = complete(MODEL, stop_at(9), [SCENE], max_steps=1)
+    assert grown.halt_reason == "HALTED"
+
+
+def test_grown_graphs__have_their_planes_and_part_of_edges_and_nothing_else():
+    [[grown]] = complete(MODEL, stop_at(13), [SCENE], max_steps=50)
+    graph, num_nodes = grown.graph, len(grown.graph.nodes.label)
+    validate_graph(graph, "grown")
+    assert (graph.nodes.label[NUM_PLANES:] == ROOM).all()
+    assert len(undirected_edges(graph, PROXIMITY)) == 0
+    expected = [(plane, room) for plane in (0, 1) for room in range(NUM_PLANES, num_nodes)]
+    np.testing.assert_array_equal(undirected_edges(graph, PART_OF), expected)
+
+
+@pytest.mark.parametrize("offset", [(0, 0, 0), (5e6 + 0.123456789, -5e6, 100.0)])
+def test_planes__come_back_bit_for_bit_wherever_the_building_stands(offset):
+    scene = moved(SCENE, 0.3, offset)
+    [[grown]] = complete(MODEL, stop_at(11), [scene], max_steps=50)
+    observed = observed_of(scene).nodes
+    for found, given in zip(grown.graph.nodes, observed, strict=True):
+        assert found.dtype == given.dtype
+        np.testing.assert_array_equal(found[:NUM_PLANES], given)
+    away = grown.graph.nodes.position[NUM_PLANES:] - observed.position.mean(axis=0)
+    assert 1e-3 < np.abs(away).max() <= 1
+
+
+def test_only_the_planes_of_a_scene__are_looked_at():
+    [[whole]] = complete(MODEL, stop_at(13), [SCENE], max_steps=50)
+    [[planes]] = complete(MODEL, stop_at(13), [observed_of(SCENE)], max_steps=50)
+    assert same(whole, planes)
+
+
+def test_results__come_in_the_order_of_the_scenes_with_as_many_samples_as_asked():
+    counts = [8, 3, 6, 2, 8]
+    scenes = [first_planes(count) for count in counts]
+    grown = complete(MODEL, stop_at(10), scenes, samples=3, max_steps=50)
+    assert [len(samples) for samples in grown] == [3] * 5
+    for count, samples in zip(counts, grown, strict=True):
+        for one in samples:
+            assert (one.graph.nodes.label == PLANE).sum() == count
+        places = [one.graph.nodes.position[count] for one in samples]
+        assert len(np.unique(places, axis=0)) == 3
+
+
+def test_a_sample__does_not_depend_on_the_batch_it_is_grown_in():
+    scenes = [first_planes(count) for count in (8, 3, 6, 2, 7)]
+    expected = complete(MODEL, stop_at(12), scenes, seed=7, max_steps=50)
+    alone = complete(MODEL, stop_at(12), scenes[:1], seed=7, max_steps=50)
+    assert same(alone[0][0], expected[0][0])
+    for one, other in zip(
+        complete(MODEL, stop_at(12), scenes, seed=7, max_steps=50, lanes=2), expected, strict=True
+    ):
+        assert same(one[0], other[0])
+
+
+def test_seeds__give_other_graphs():
+    one, other = (complete(MODEL, stop_at(12), [SCENE], seed, max_steps=50) for seed in (0, 1))
+    assert not same(one[0][0], other[0][0])
+
+
+def test_scenes_of_one_bucket__are_compiled_once():
+    grow_lanes.clear_cache()
+    walls = grows_rooms(1, 2, fill=AddRooms(WALL))  # which need no slots for kin
+    counts = (8, 7, 6)  # the bucket of 24 nodes, and twice that of 16 below
+    for scenes in ([first_planes(count) for count in counts], [first_planes(8)] * 40):
+        complete(walls, stop_at(12), scenes, max_steps=50)
+    assert grow_lanes._cache_size() == 1
+    complete(walls, stop_at(12), [first_planes(3), first_planes(8), first_planes(2)], max_steps=50)
+    assert grow_lanes._cache_size() == 2
+
+
+@pytest.mark.parametrize("num_planes", [2, 40, 200])
+def test_capacity__has_room_for_eight_new_nodes_and_four_for_every_five_planes(num_planes):
+    capacity = growth_capacity(num_planes)
+    assert capacity.nodes >= 1.8 * num_planes + 7
+    assert capacity.edges >= 20 * num_planes
+
+
+@pytest.mark.parametrize("model", CLASSIFIERS, ids=["square", "l"])
+@pytest.mark.parametrize("offset", [(0, 0, 0), (5e6 + 0.123456789, -5e6, 100.0)])
+def test_planes__come_first_in_what_edge_classifiers_find(model, offset):
+    scene = moved(SCENE, 0.3, offset)
+    [[found]] = complete(model, sure_params(model), [scene])
+    validate_graph(found.graph, "found")
+    for mine, given in zip(found.graph.nodes, observed_of(scene).nodes, strict=True):
+        assert mine.dtype == given.dtype
+        np.testing.assert_array_equal(mine[:NUM_PLANES], given)
+    new = found.graph.nodes.label[NUM_PLANES:]
+    assert len(new)
+    assert new.tolist() == sorted(new.tolist(), key=(WALL, ROOM).index)
+    assert (found.halt_reason, found.steps) == ("ONE_SHOT", 1)
+
+
+def test_what_edge_classifiers_find__does_not_depend_on_what_it_is_found_with():
+    scenes = [first_planes(count) for count in (8, 3, 6, 2, 7)]
+    model, params = CLASSIFIERS[1], sure_params(CLASSIFIERS[1])
+    together = complete(model, params, scenes, seed=7, samples=2)
+    alone = complete(model, params, scenes[:1], seed=7)
+    assert [len(samples) for samples in together] == [2] * 5
+    assert same(alone[0][0], together[0][0])
+    for scene, samples in zip(scenes, together, strict=True):
+        for one in samples:
+            assert (one.graph.nodes.label == PLANE).sum() == len(scene.nodes.label)
+
+
+def test_one_shot_samples__do_not_depend_on_the_batch_and_shift_with_the_scene():
+    params = random_params(ORACLE.init, on_device(SCENE))
+    few = subgraph(SCENE, np.r_[:NUM_PLANES, 11], edges=False)  # the floor alone
+    far = moved(SCENE, offset=(30, -20, 2))
+    together = complete(ORACLE, params, [SCENE, few, far], seed=4, samples=2)
+    [alone] = complete(ORACLE, params, [SCENE], seed=4, samples=2)
+    for one, other in zip(together[0], alone, strict=True):
+        assert same(one, other)
+    assert not np.array_equal(alone[0].graph.nodes.position, alone[1].graph.nodes.position)
+    for scene, samples in zip((SCENE, few, far), together, strict=True):
+        for completion in samples:
+            assert len(completion.graph.nodes.label) == len(scene.nodes.label)
+            planes = completion.graph.nodes.position[: (scene.nodes.label == PLANE).sum()]
+            np.testing.assert_array_equal(planes, scene.nodes.position[scene.nodes.label == PLANE])
+
+
+def test_a_scene_without_anything_but_planes__is_refused_by_an_oracle():
+    params = {"encoder": jnp.zeros(()), "denoiser": jnp.zeros(())}
+    with pytest.raises(ValueError, match=r"^scene 1 has planes alone, expected a complete graph"):
+        complete(ORACLE, params, [SCENE, observed_of(SCENE)])

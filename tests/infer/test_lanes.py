@@ -1,0 +1,118 @@
+import jax
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from sg3d_jax.flagg.grow import CAPACITY, HALTED, MAX_STEPS
+from sg3d_jax.infer import lanes
+from sg3d_jax.infer.lanes import (
+    Model,
+    OneShot,
+    complete_lanes,
+    growth_capacity,
+    num_lanes,
+    root_key,
+    sample_keys,
+)
+from sg3d_jax.infer.prepare import prepare
+from sg3d_jax.scene.graph import subgraph, undirected_edges
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF
+from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity
+from tests.growing_rooms import MODEL, NEVER, stop_at
+from tests.tiny_run import untrained_model
+from tests.two_rooms import two_rooms
+
+PARTS = [subgraph(two_rooms(), np.arange(count)) for count in (8, 5, 3, 2, 7)]
+
+
+@pytest.fixture(autouse=True)
+def _no_check_of_key_reuse():
+    """JAX takes a vmapped loop over keys for their reuse."""
+    with jax.debug_key_reuse(False):
+        yield
+
+
+def completed(scenes, params, seed=0, samples=1, max_steps=50, **options):
+    prepared = prepare(scenes, PAPER_ONTOLOGY, options.pop("keep", False))
+    return complete_lanes(MODEL, params, prepared, seed, samples, max_steps, **options)
+
+
+def assert_same(one, other):
+    assert (one.halt_reason, one.steps) == (other.halt_reason, other.steps)
+    for found, expected in zip(one.graph.nodes, other.graph.nodes, strict=True):
+        npt.assert_array_equal(found, expected)
+    npt.assert_array_equal(*(undirected_edges(each.graph, PART_OF) for each in (one, other)))
+
+
+@pytest.mark.parametrize("width", [1, 2, 7])
+def test_results_do_not_depend_on_the_number_of_lanes(width):
+    for found, expected in zip(
+        completed(PARTS, stop_at(11), samples=2, lanes=width),
+        completed(PARTS, stop_at(11), samples=2),
+        strict=True,
+    ):
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other)
+
+
+def test_a_graph_that_does_not_fit_goes_on_in_the_next_bucket():
+    """As it would have grown in a large one from the start, with the same keys."""
+    scenes = PARTS[:2]
+    assert growth_capacity(8).nodes == 24
+    grown = completed(scenes, stop_at(70))
+    assert [one.halt_reason for (one,) in grown] == [HALTED, HALTED]
+    assert all(len(one.graph.nodes.label) >= 70 for (one,) in grown)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lanes, "growth_capacity", lambda *_: Capacity(384, 4608))
+        for (one,), (other,) in zip(grown, completed(scenes, stop_at(70)), strict=True):
+            assert_same(one, other)
+
+
+def test_what_fits_in_no_bucket_says_so(monkeypatch):
+    monkeypatch.setattr(lanes, "NODE_CAPACITIES", (16, 24, 32, 48))
+    ((one,),) = completed(PARTS[:1], NEVER, max_steps=1000)
+    assert one.halt_reason == CAPACITY
+    assert 14 <= len(one.graph.nodes.label) <= 48
+
+
+def test_the_number_of_steps_is_limited_over_all_buckets():
+    ((one,),) = completed(PARTS[:1], NEVER, max_steps=30)
+    assert (one.halt_reason, one.steps) == (MAX_STEPS, 30)
+
+
+def test_a_partial_graph_has_room_for_what_is_given():
+    assert growth_capacity(8).nodes == growth_capacity(8, 12).nodes == 24
+    assert growth_capacity(8, 60).nodes == 96
+    assert growth_capacity(3, 60).nodes >= 68
+
+
+def test_small_buckets_have_more_lanes():
+    widths = [num_lanes(Capacity(nodes, 12 * nodes)) for nodes in NODE_CAPACITIES]
+    assert widths == sorted(widths, reverse=True)
+    assert (widths[0], widths[-1]) == (4, 1)
+
+
+def test_keys_depend_on_scene_and_sample_alone():
+    keys = sample_keys(3, [0, 0, 1, 5], [0, 1, 0, 2])
+    data = jax.random.key_data(keys)
+    assert len(np.unique(np.asarray(data), axis=0)) == 4
+    npt.assert_array_equal(jax.random.key_data(sample_keys(3, [5], [2]))[0], data[3])
+
+
+def test_seeds_of_any_size_give_different_keys():
+    seeds = [0, 1, 2**31, 2**32 - 1, 2**32, 2**32 + 1, 2**64, 10**30]
+    data = [tuple(np.asarray(jax.random.key_data(root_key(seed))).tolist()) for seed in seeds]
+    assert len(set(data)) == len(seeds)
+    for seed in (0, 7, 2**32 - 1):  # those that JAX takes are its own
+        npt.assert_array_equal(
+            jax.random.key_data(root_key(seed)), jax.random.key_data(jax.random.key(seed))
+        )
+    with pytest.raises(ValueError, match="the seed is -1, expected 0 or more"):
+        root_key(-1)
+
+
+@pytest.mark.parametrize("method", ["ec-square", "ec-l", "midi-or", "fd4", "midi"])
+def test_every_model_is_one(method):
+    model = untrained_model(method)
+    assert isinstance(model, Model)
+    assert isinstance(model, OneShot) == (method in ("ec-square", "ec-l", "midi-or"))
