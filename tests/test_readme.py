@@ -14,15 +14,20 @@ README = (ROOT / "README.md").read_text()
 
 
 @jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
-def test_python_example__runs_from_a_clone(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_python_examples__run_from_a_clone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    monkeypatch.chdir(ROOT)
+    examples = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(examples) == 2
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
 
-    exec(compile(example, "README.md", "exec"), {})
+    exec(compile("".join(examples), "README.md", "exec"), {})
 
-    assert capsys.readouterr().out.startswith("HALTED")
+    out = capsys.readouterr().out
+    assert out.startswith("HALTED {'wall': array([")
+    assert out.endswith("(2, 3, 64)\n")
+    assert (tmp_path / "floor.png").is_file()
 
 
 def test_commands__exist() -> None:
