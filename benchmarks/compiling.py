@@ -82,8 +82,8 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=RESULT)
     arguments = parser.parse_args()
     jax.config.update("jax_enable_compilation_cache", False)
-    drawn = registry.make(DATA, 3 * BATCH)
-    graphs = [graph for graph in drawn if len(graph.nodes.label) < 0.75 * TRAINING_NODES]
+    drawn = registry.make(DATA, 2 * BATCH)
+    graphs = [graph for graph in drawn if len(graph.nodes.label) <= TRAINING_NODES]
     rows: dict[str, dict[str, dict[str, float]]] = {}
     for name in arguments.weights:
         trained = load_weights(name)

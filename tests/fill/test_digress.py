@@ -3,8 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sg3d_jax.diffusion import categorical
 from sg3d_jax.diffusion.schedules import cosine
 from sg3d_jax.fill import digress
+from sg3d_jax.fill.digress import Levels
 from sg3d_jax.fill.protocol import Marginals
 from sg3d_jax.nn.embed import Surface
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
@@ -177,3 +179,88 @@ def test_samples__are_what_a_certain_network_predicts():
     drawn = sample_of(certain, keys, conditioning, target.mask)
     assert (drawn.label == target.label[None]).all()
     assert (drawn.edges == target.edges[None]).all()
+
+
+def test_the_start__has_the_marginals_of_its_kind_of_pair():
+    masks = jnp.arange(NUM_BLOCK) < 4, jnp.arange(NUM_OLD) < 6
+    keys = jax.random.split(jax.random.key(6), 2000)
+    drawn = jax.vmap(lambda key: digress.draw_start(key, *masks, MARGINALS))(keys)
+    edges, label = np.asarray(drawn.edges), np.asarray(drawn.label)
+    inside = edges[:, *np.tril_indices(NUM_BLOCK, -1)]
+    np.testing.assert_allclose(inside.mean(), 0.3, atol=0.02)
+    np.testing.assert_allclose(edges[:, :, NUM_BLOCK:].mean(), 0.4, atol=0.01)
+    shares = np.bincount(label.ravel(), minlength=NUM_CONCEPTS) / label.size
+    np.testing.assert_allclose(shares, MARGINALS.label, atol=0.02)
+
+
+def test_a_step__draws_from_the_posterior_of_its_kind_of_pair():
+    """The network says the same of every pair; all is noisy in the same way."""
+    masks = jnp.arange(NUM_BLOCK) < 4, jnp.arange(NUM_OLD) < 6
+    noisy = make_block(4, 6)._replace(edges=jnp.ones((NUM_BLOCK, NUM_BLOCK + NUM_OLD), bool))
+    levels = Levels(jnp.float32(0.7), jnp.float32(0.5)), Levels(jnp.float32(0.4), jnp.float32(0.2))
+    share = jnp.asarray([0.0, 0.2, 0.5, 0.3, 0.0, 0.0])
+    logits = (
+        jnp.broadcast_to(jnp.log(share), (NUM_BLOCK, NUM_CONCEPTS)),
+        jnp.zeros((NUM_BLOCK, NUM_BLOCK + NUM_OLD, 2)),
+    )
+
+    def draw(key):
+        state = digress.topology_of(noisy)
+        return digress.reverse_step(key, state, *logits, *levels, *masks, MARGINALS)
+
+    drawn = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(7), 2000))
+    edges, label = np.asarray(drawn.edges), np.asarray(drawn.label)
+    inside, across = edges[:, *np.tril_indices(NUM_BLOCK, -1)], edges[:, :, NUM_BLOCK:]
+    signals = levels[0].edge, levels[1].edge
+    for found, marginal in ((inside, MARGINALS.block_edge), (across, MARGINALS.cross_edge)):
+        half = jnp.full(2, 0.5)
+        expected = categorical.posterior(half, jnp.asarray(1), *signals, marginal)
+        np.testing.assert_allclose(found.mean(), expected[1], atol=0.015)
+    for place in range(NUM_BLOCK):
+        signals = levels[0].label, levels[1].label
+        expected = categorical.posterior(share, noisy.label[place], *signals, MARGINALS.label)
+        shares = np.bincount(label[:, place], minlength=NUM_CONCEPTS) / len(label)
+        np.testing.assert_allclose(shares, expected, atol=0.04)
+
+
+class Clock(RectangleTransformer):
+    """A network that says which time it is told: walls at time 2, rooms at any other."""
+
+    def __call__(self, conditioning, block_mask, label, edges, time):
+        said = jnp.where(time == 2, jax.nn.one_hot(WALL, NUM_CONCEPTS), time * ROOM_ALONE)
+        logits = 30.0 * jnp.broadcast_to(said[None], (NUM_BLOCK, NUM_CONCEPTS))
+        return logits, jnp.zeros((NUM_BLOCK, NUM_BLOCK + NUM_OLD, 2))
+
+
+ROOM_ALONE = jax.nn.one_hot(ROOM, NUM_CONCEPTS)
+CLOCK = Clock(*[0] * 6)
+
+
+@pytest.mark.parametrize(("num_steps", "expected"), [(5, ROOM), (2, WALL)])
+def test_a_network__is_told_the_time_at_which_a_step_begins(num_steps, expected):
+    """The last of two steps, a stride over five times, begins at time 2; that of five at 1."""
+    inputs = old_graph(6), jnp.ones(NUM_BLOCK, bool), SCHEDULE, num_steps, MARGINALS
+    drawn = digress.sample(CLOCK, {}, jax.random.key(8), *inputs)
+    assert (drawn.label == expected).all()
+
+
+def test_training__is_at_every_time_but_zero_and_at_the_level_of_the_time(monkeypatch):
+    """What a network is shown at a time has kept as many labels as the schedule says."""
+    block = make_block(4, 6)._replace(label=jnp.full(NUM_BLOCK, FLOOR))
+
+    def tell(network, params, conditioning, block_mask, label, edges, time):
+        return label, time
+
+    monkeypatch.setattr(digress, "apply", tell)
+    monkeypatch.setattr(digress, "cross_entropies", lambda label, time, *_: (label, time))
+
+    def loss(key):
+        return digress.loss(TOLD, {}, key, old_graph(6), block, SCHEDULE, MARGINALS)
+
+    keys = jax.random.split(jax.random.key(9), 4000)
+    label, time = map(np.asarray, jax.jit(jax.vmap(loss))(keys))
+    np.testing.assert_array_equal(np.unique(time), range(1, len(SCHEDULE)))
+    for now in range(1, len(SCHEDULE)):
+        np.testing.assert_allclose(np.mean(time == now), 1 / 5, atol=0.03)
+        kept = SCHEDULE[now] + (1 - SCHEDULE[now]) * MARGINALS.label[FLOOR]
+        np.testing.assert_allclose(np.mean(label[time == now] == FLOOR), kept, atol=0.04)

@@ -111,3 +111,48 @@ def test_samples__are_symmetric_inside_the_block(scene):
     square = found[:, :NUM_BLOCK]
     np.testing.assert_array_equal(square, square.T)
     assert len(np.unique(found)) > NUM_OLD
+
+
+class Clock(DistanceNetwork):
+    """A network that repeats what it sees at one time, and says the time at any other."""
+
+    def __call__(self, conditioning, label, edges, distance, time):
+        return jnp.where(time == self.get_variable("params", "time"), distance, time)
+
+
+CLOCK = Clock(0, 0, 0)
+
+
+@pytest.mark.parametrize(("num_steps", "last"), [(4, 1), (2, 2), (1, 4)])
+def test_a_network__is_told_the_time_at_which_a_step_begins(scene, num_steps, last):
+    conditioning, block = scene
+    inputs = conditioning, block.label, block.edges, SCHEDULE, num_steps, STATISTICS
+    found = distance.sample(CLOCK, {"params": {"time": 0}}, jax.random.key(7), *inputs)
+    np.testing.assert_allclose(found, np.full_like(found, MEAN + last * STD), rtol=1e-6)
+
+
+def test_training__is_at_every_time_but_zero_and_at_the_level_of_the_time(scene):
+    conditioning, block = scene
+    ends = jnp.concatenate([block.position, conditioning.surface.position])
+    length = jnp.linalg.norm(block.position[:, None] - ends[None], axis=-1)
+    clean = (np.asarray(length)[[1, 0, 1, 1], [0, 5, 3, 6]] - MEAN) / STD
+    told = {time: np.mean((time - clean) ** 2) for time in range(1, 5)}
+    keys = jax.random.split(jax.random.key(8), 4000)
+
+    @jax.jit
+    def losses(repeated):
+        def one(key):
+            params = {"params": {"time": repeated}}
+            return distance.loss(CLOCK, params, key, conditioning, block, SCHEDULE, STATISTICS)
+
+        return jax.vmap(one)(keys)
+
+    for repeated in range(1, 5):
+        found = np.asarray(losses(repeated))
+        others = [np.isclose(found, told[time]) for time in told if time != repeated]
+        shares = [np.mean(is_told) for is_told in others]
+        np.testing.assert_allclose(shares, 1 / 4, atol=0.03)
+        rest = found[~np.any(others, axis=0)]
+        signal = float(SCHEDULE[repeated])
+        expected = (1 - signal) ** 2 * np.mean(clean**2) + 1 - signal**2
+        np.testing.assert_allclose(rest.mean(), expected, rtol=0.15)

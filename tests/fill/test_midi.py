@@ -161,6 +161,50 @@ def test_errors_of_positions__weigh_as_their_signal_to_noise_up_to_a_limit(
     np.testing.assert_allclose(terms["position"], weight * squared, rtol=1e-4)
 
 
+def test_training__is_at_every_time_but_zero_and_at_the_levels_of_the_time(monkeypatch, params):
+    def tell(network, params, key, conditioning, frame, block, signal, time, marginals):
+        levels = jnp.stack([jnp.abs(level - all_of[time]) for level, all_of in zip(signal, made)])
+        return {"label": 1.0 * (time == 1), "edge": 1.0 * (time == STEPS), "position": levels.sum()}
+
+    made = make_schedules(SIZES)
+    monkeypatch.setattr(midi, "losses", tell)
+    many = MiDi(dataclasses.replace(SIZES, noise_levels=600), STATISTICS)
+    terms = many.loss(params, jax.random.key(10), observed(two_rooms()), all_at_once())[1]
+    np.testing.assert_allclose(terms["label"], 1 / STEPS, atol=0.06)
+    np.testing.assert_allclose(terms["edge"], 1 / STEPS, atol=0.06)
+    assert terms["position"] == 0
+
+
+@pytest.mark.parametrize(("steps", "last"), [(STEPS, 1), (1, STEPS)])
+def test_a_network__is_told_the_time_at_which_a_step_begins(monkeypatch, params, steps, last):
+    class Clock(Certain):
+        def __call__(self, conditioning, centre, block_mask, label, edges, position, time):
+            said = super().__call__(conditioning, centre, block_mask, label, edges, position, time)
+            return *said[:2], jnp.broadcast_to(time, (1, 3))
+
+    monkeypatch.setattr(midi, "RelaxedTransformer", Clock)
+    fill = MiDi(dataclasses.replace(SIZES, sampling_steps=steps), STATISTICS)
+    graph, mask = observed(two_rooms()), jnp.ones(1, bool)
+    block = fill.sample(params, jax.random.key(11), graph, mask)
+    np.testing.assert_allclose(block.position, np.full((1, 3), last), atol=1e-4)
+
+
+def test_labels_and_edges__have_noise_of_their_own_levels():
+    signal = Schedules(*map(jnp.float32, (0.5, 1.0, 0.0)))  # of positions, edges, labels
+    block, old_mask = all_at_once(), observed(two_rooms()).nodes.mask
+    frame = Frame(jnp.zeros(3), jnp.float32(1))
+    masks = block.mask, old_mask
+    noisy = [
+        midi.add_noise(
+            jax.random.key(seed), midi.state_of(block, frame), signal, *masks, STATISTICS.marginals
+        )
+        for seed in range(8)
+    ]
+    for state in noisy:
+        np.testing.assert_array_equal(state.topology.edges, block.edges)
+    assert any((state.topology.label != block.label).any() for state in noisy)
+
+
 def test_samples__of_every_step_of_the_schedule_are_finite(params):
     """As many steps as are trained: the signal of the last ones is 1.0 in float32."""
     steps = 350

@@ -10,7 +10,7 @@ from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 from sg3d_jax.scene.padding import Capacity
 from tests import own_world
-from tests.two_rooms import CAPACITY, on_device
+from tests.two_rooms import CAPACITY, on_device, with_garbage
 
 CONCEPTS = PAPER_ONTOLOGY.names
 OTHER_LAYERS = ("plane", "floor", "room", "wall", "building", "city")
@@ -71,7 +71,7 @@ def test_hp__goes_outwards_from_a_random_node_of_each_layer():
     graph = scattered(0)
     label, position = graph.nodes.label, graph.nodes.position
     keys = jax.random.split(jax.random.key(1), 300)
-    ranks = RANKS["HP", CONCEPTS](on_device(graph), keys)[:, :12]
+    ranks = RANKS["HP", CONCEPTS](with_garbage(on_device(graph), 0), keys)[:, :12]
     for concept in (WALL, ROOM, FLOOR):
         members = np.flatnonzero(label == concept)
         assert len(members) > 1

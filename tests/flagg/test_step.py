@@ -10,10 +10,11 @@ import pytest
 from sg3d_jax.fill.fd4 import FD4, FD4Config
 from sg3d_jax.fill.midi import MiDi, MiDiConfig
 from sg3d_jax.flagg import step
+from sg3d_jax.flagg.corrupt import corrupt
 from sg3d_jax.flagg.grow import RUNNING, grow
-from sg3d_jax.flagg.halt import halt_loss
-from sg3d_jax.flagg.insert import insert_loss
-from sg3d_jax.flagg.step import FlaggConfig, make_flagg
+from sg3d_jax.flagg.halt import Halt, halt_loss
+from sg3d_jax.flagg.insert import Insert, insert_loss
+from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg
 from sg3d_jax.nn.kin import kin_fit
 from sg3d_jax.scene.graph import extended, observed_of
 from sg3d_jax.scene.ontology import PLANE, ROOM, WALL
@@ -109,6 +110,49 @@ def test_loss__is_a_mean_over_what_may_come_next():
         terms, cut = both(jax.random.key(seed), jax.random.key(seed))
         np.testing.assert_allclose(terms["label"], cut.block.label[0])
         assert 0.2 < terms["noise"] < 0.8  # of sixteen keys
+
+
+def shown(graph):
+    """Returns a number that tells any perturbation of a graph."""
+    place = jnp.arange(len(graph.edges.mask)) % 7
+    return jnp.sum(graph.nodes.position) + jnp.sum(graph.edges.mask * place).astype(jnp.float32)
+
+
+class ShownInsert(Insert):
+    def logits(self, params, graph):
+        return jnp.stack([jnp.zeros(()), shown(graph)])
+
+
+class ShownHalt(Halt):
+    def logit(self, params, graph):
+        return shown(graph)
+
+
+@dataclasses.dataclass(frozen=True)
+class ShownFill(AddRooms):
+    def loss(self, params, key, graph, block):
+        return shown(graph), {"fill": shown(graph)}
+
+
+def test_every_module__is_trained_on_the_perturbed_graph_and_the_clean_block():
+    strong = step.CorruptionConfig(0.0, p_drop=0.5, p_add=0.05, sigma_position=0.1)
+    config, graph = FlaggConfig(coins=(1, 2), corruption=strong), on_device(SCENE)
+    model = Flagg(config, ShownInsert(1, 1, 2), ShownFill(), ShownHalt(1, 1))
+
+    @jax.jit
+    def both(key, again):
+        key_cut, key_corrupt, *_ = jax.random.split(again, 4)
+        cut = step.cut_graph(config, key_cut, graph)
+        told = shown(corrupt(cut.survivors, key_corrupt, strong))
+        halt = halt_loss(told, cut.complete, cut.inserted)
+        insert = insert_loss(jnp.stack([jnp.zeros(()), told]), cut.insert_probs)
+        expected = {"fill": told, "insert": insert, "halt": halt}
+        return model.loss(NEVER, key, graph)[1], expected, told - shown(cut.survivors)
+
+    for seed in range(6):
+        terms, expected, change = both(jax.random.key(seed), jax.random.key(seed))
+        assert change != 0
+        chex.assert_trees_all_close(terms, expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("continuations", "ordering"), [(0, "H"), (2, "HP")])
