@@ -14,12 +14,8 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float
 
-from sg3d_jax.data import registry
-from sg3d_jax.metrics.fgw_loss import fgw_loss
+import sg3d_jax as sg
 from sg3d_jax.metrics.fgw_problem import one_hot
-from sg3d_jax.scene.ontology import PLANE
-from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.scene.padding import bucket, pad
 from sg3d_jax.viz.figure import contact_sheet
 
 STEPS = 300
@@ -27,11 +23,13 @@ STEP_SIZE = 0.1  # metres
 NOISE = 1.0  # metres an axis; at 1.5 some walls take their neighbours' places, and stay
 
 
-def descend(start: SceneGraph, truth: SceneGraph) -> tuple[Float[Array, "N 3"], Float[Array, " S"]]:
+def descend(
+    start: sg.SceneGraph, truth: sg.SceneGraph
+) -> tuple[Float[Array, "N 3"], Float[Array, " S"]]:
     """Returns the centroids after the descent, metres, and the distance at every step."""
-    free = (start.nodes.mask & (start.nodes.label != PLANE))[:, None]
+    free = (start.nodes.mask & ~start.nodes.observed)[:, None]
     optimiser = optax.adam(optax.cosine_decay_schedule(STEP_SIZE, STEPS))
-    distance = jax.value_and_grad(fgw_loss)
+    distance = jax.value_and_grad(sg.fgw_loss)
 
     def step(state: tuple, _: None) -> tuple[tuple, Float[Array, ""]]:
         position, moments = state
@@ -44,31 +42,31 @@ def descend(start: SceneGraph, truth: SceneGraph) -> tuple[Float[Array, "N 3"], 
     return position, values
 
 
-def displaced(graph: SceneGraph, seed: int) -> SceneGraph:
+def displaced(graph: sg.SceneGraph, seed: int) -> sg.SceneGraph:
     """Returns a host graph whose nodes, but for the planes, are somewhere else on their storey."""
     offset = np.random.default_rng(seed).normal(scale=NOISE, size=graph.nodes.position.shape)
-    offset[graph.nodes.label == PLANE] = 0
+    offset[graph.nodes.observed] = 0
     offset[:, 2] = 0
     return moved(graph, graph.nodes.position + offset)
 
 
-def moved(graph: SceneGraph, position: np.ndarray) -> SceneGraph:
+def moved(graph: sg.SceneGraph, position: np.ndarray) -> sg.SceneGraph:
     """Returns a host graph with other positions, metres."""
     return graph._replace(nodes=graph.nodes._replace(position=position))
 
 
 def main(picture: str = "fgw_descent.png") -> None:
     """Draws a floor displaced, after the descent, and as it is."""
-    truth = max(registry.make("s-f", 8), key=lambda graph: len(graph.nodes.label))
+    truth = max(sg.make_dataset("s-f", 8), key=lambda graph: len(graph.nodes.label))
     start = displaced(truth, seed=0)
-    capacity = bucket(len(truth.nodes.label), len(truth.senders))
-    position, values = jax.jit(descend)(pad(start, capacity), pad(truth, capacity))
+    capacity = sg.bucket(len(truth.nodes.label), len(truth.senders))
+    position, values = jax.jit(descend)(sg.pad(start, capacity), sg.pad(truth, capacity))
     after = moved(truth, np.asarray(position)[: len(truth.nodes.label)])
 
     errors = []
     for graph in (start, after):
         error = np.linalg.norm(graph.nodes.position - truth.nodes.position, axis=1)
-        errors.append(error[truth.nodes.label != PLANE].mean())
+        errors.append(error[~truth.nodes.observed].mean())
     print(
         f"FGW {values[0]:.3f} -> {values[-1]:.3f}; mean error {errors[0]:.2f} -> {errors[1]:.3f} m"
     )

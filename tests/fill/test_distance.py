@@ -137,10 +137,9 @@ def test_training__is_at_every_time_but_zero_and_at_the_level_of_the_time(scene)
     length = jnp.linalg.norm(block.position[:, None] - ends[None], axis=-1)
     clean = (np.asarray(length)[[1, 0, 1, 1], [0, 5, 3, 6]] - MEAN) / STD
     told = {time: np.mean((time - clean) ** 2) for time in range(1, 5)}
-    keys = jax.random.split(jax.random.key(8), 4000)
 
     @jax.jit
-    def losses(repeated):
+    def losses(keys, repeated):
         def one(key):
             params = {"params": {"time": repeated}}
             return distance.loss(CLOCK, params, key, conditioning, block, SCHEDULE, STATISTICS)
@@ -148,7 +147,8 @@ def test_training__is_at_every_time_but_zero_and_at_the_level_of_the_time(scene)
         return jax.vmap(one)(keys)
 
     for repeated in range(1, 5):
-        found = np.asarray(losses(repeated))
+        keys = jax.random.split(jax.random.key(8 + repeated), 4000)
+        found = np.asarray(losses(keys, repeated))
         others = [np.isclose(found, told[time]) for time in told if time != repeated]
         shares = [np.mean(is_told) for is_told in others]
         np.testing.assert_allclose(shares, 1 / 4, atol=0.03)
