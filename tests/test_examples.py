@@ -3,6 +3,8 @@
 import importlib.util
 import json
 import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,10 +61,17 @@ def test_the_descent_on_fgw_moves_centroids_back_and_draws_it(tmp_path, monkeypa
 
 @pytest.fixture(scope="module")
 def own_run(tmp_path_factory):
-    """A folder with weights of `own_fill.py`, trained in one go; its method is forgotten again."""
-    folder = tmp_path_factory.mktemp("own_fill")
+    """A folder with a run of `own_fill.py`, and that run as its first checkpoint left it."""
+    save, folder = checkpoint.save, tmp_path_factory.mktemp("own_fill")
+
+    def save_and_copy(*arguments):
+        save(*arguments)
+        if not Path("cut_short").exists():
+            shutil.copytree("run", "cut_short")
+
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr(checkpoint, "save", save_and_copy)
         npz.save(folder / "floors.npz", small_floors(), registry.header("s-f-square"))
         run("train", OWN_FILL, *SHORT, "-o", "run")
     del METHODS["anchor"]
@@ -72,39 +81,34 @@ def own_run(tmp_path_factory):
 @pytest.fixture
 def in_own_run(own_run, monkeypatch):
     monkeypatch.chdir(own_run)
-    yield own_run
+    yield
     METHODS.pop("anchor", None)
 
 
-def test_own_fill__goes_on_where_it_was_cut_short(in_own_run, monkeypatch):
-    save = checkpoint.save
-
-    def save_and_stop(*arguments):
-        save(*arguments)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(SystemExit, match="130"):
-        patch.setattr(checkpoint, "save", save_and_stop)
-        run("train", OWN_FILL, *SHORT, "-o", "resumed")
-    assert not (in_own_run / "resumed" / "weights.npz").exists()
-    run("train", OWN_FILL, *SHORT, "-o", "resumed")
-    logged = documents("resumed/log.jsonl")
-    assert [line["step"] for line in logged if line["kind"] == "train"] == [2, 4]
-    with np.load("run/weights.npz") as whole, np.load("resumed/weights.npz") as resumed:
+@pytest.mark.usefixtures("in_own_run")
+def test_own_fill__goes_on_where_it_was_cut_short():
+    assert steps_trained("cut_short") == [2]
+    run("train", OWN_FILL, *SHORT, "-o", "cut_short")
+    assert steps_trained("cut_short") == [2, 4]
+    with np.load("run/weights.npz") as whole, np.load("cut_short/weights.npz") as resumed:
         assert whole.files == resumed.files
         assert all(whole[name].tobytes() == resumed[name].tobytes() for name in whole.files)
 
 
-def test_own_fill__is_scored(in_own_run, capsys):
+def steps_trained(folder):
+    return [line["step"] for line in documents(f"{folder}/log.jsonl") if line["kind"] == "train"]
+
+
+@pytest.mark.usefixtures("in_own_run")
+def test_own_fill__is_scored():
     run("evaluate", "run/weights.npz", "--code", OWN_FILL, "--num-graphs", 1, "-o", "result.json")
-    result = json.loads((in_own_run / "result.json").read_text())
+    result = json.loads(Path("result.json").read_text())
     assert (result["method"], result["data"], result["graphs"]) == ("anchor", "floors", 1)
     assert np.isfinite(result["scores"]["fgw"]["mean"])
-    assert "anchor on floors" in capsys.readouterr().out
 
 
-def test_own_fill__completes_a_scene(in_own_run):
-    scene = EXAMPLES / "floor.json"
+@pytest.mark.usefixtures("in_own_run")
+def test_own_fill__completes_scenes():
     weights = "run/weights.npz"
     run("complete", "floors.npz", "-o", "grown.jsonl", "--weights", weights, "--code", OWN_FILL)
     grown = documents("grown.jsonl")
@@ -112,12 +116,17 @@ def test_own_fill__completes_a_scene(in_own_run):
     assert all(document["grown"] for document in grown)
 
 
-def test_own_fill__is_asked_for_by_whoever_has_only_its_weights(in_own_run, capsys):
-    for command in (
+@pytest.mark.parametrize(
+    "command",
+    [
         ("evaluate", "run/weights.npz"),
-        ("complete", EXAMPLES / "floor.json", "-o", "grown.json", "--weights", "run/weights.npz"),
-    ):
-        assert refusal(capsys, *command) == (
-            "run/weights.npz: unknown method 'anchor', expected one of ec-square, ec-l, midi-or, "
-            "fd4, midi, or one of your own: run the file that registers it first (--code FILE)"
-        )
+        ("complete", "floors.npz", "-o", "refused.jsonl", "--weights", "run/weights.npz"),
+    ],
+    ids=" ".join,
+)
+@pytest.mark.usefixtures("in_own_run")
+def test_own_fill__must_be_run_by_whoever_has_its_weights(command, capsys):
+    assert refusal(capsys, *command) == (
+        "run/weights.npz: unknown method 'anchor', expected one of ec-square, ec-l, midi-or, fd4, "
+        "midi, or one of your own: run the file that registers it first (--code FILE)"
+    )

@@ -23,7 +23,7 @@ class Scales(NamedTuple):
     """Limits of the training set, metres: plain numbers, so that models hash."""
 
     width_min: float  # of the planes
-    width_max: float
+    width_max: float  # of the planes
     distance_max: float  # between the centroids of planes that are near
 
 

@@ -39,7 +39,7 @@ def view(source: Positional[str], output: Output, index: int | None = None) -> N
 def export(
     source: Positional[str],
     output: Output,
-    to: Literal["json", "networkx", "spark-dsg", "graphml", "npz"] = "json",
+    to: str = "json",
     index: int | None = None,
     walls: Literal["edges", "metadata"] = "edges",
 ) -> None:
@@ -48,7 +48,7 @@ def export(
     Args:
       source: a file of graphs or planes in any format, or a data set by name.
       output: .json for one graph or .jsonl for several, .graphml, .npz.
-      to: the format; networkx is its node-link JSON.
+      to: json, networkx (its node-link JSON), spark-dsg, graphml or npz.
       index: only this graph of several.
       walls: for spark-dsg, whether planes are joined to their walls by edges, or name them in their
         metadata, so that each plane has one parent as Hydra expects.

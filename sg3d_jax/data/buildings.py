@@ -37,7 +37,7 @@ class Storey(NamedTuple):
 class Building(NamedTuple):
     """Storeys above one another."""
 
-    storeys: tuple[Storey, ...]
+    storeys: tuple[Storey, ...]  # from below
     heights: tuple[float, ...]  # z of each storey, metres
 
 

@@ -35,22 +35,22 @@ class Floor(NamedTuple):
 
     building: str  # floors of one building go to one part
     origin: str  # the floor's own name
-    storey: Storey
+    storey: Storey  # its geometry
 
 
 class Floors(NamedTuple):
     """The floors of a file."""
 
-    floors: list[Floor]
+    floors: list[Floor]  # in its order
     left_out: list[str]  # a sentence for each floor that is not among them
 
 
 class Imported(NamedTuple):
     """Scenes, the part of each and the floors that it is made of."""
 
-    graphs: list[SceneGraph]
+    graphs: list[SceneGraph]  # complete host graphs
     parts: list[str]  # "train", "validation" or "test"
-    origins: list[str]
+    origins: list[str]  # names of the floors in each
 
 
 def floor_scenes(floors: Sequence[Floor], seed: int = 0, rotate: bool = True) -> Imported:

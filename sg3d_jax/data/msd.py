@@ -57,10 +57,10 @@ MAX_COORDINATE: Final = 1e6  # metres; sites have their own origin
 class Thing(NamedTuple):
     """A row of the table."""
 
-    apartment: str
-    building: str
-    floor: str
-    kind: str
+    apartment: str  # its id
+    building: str  # its id
+    floor: str  # its id
+    kind: str  # such as a room type, or "Structure"
     geometry: str  # WKT
     where: str  # file and line
 
@@ -68,11 +68,11 @@ class Thing(NamedTuple):
 class Shapes(NamedTuple):
     """What is drawn of one apartment: arrays of polygons, metres."""
 
-    rooms: np.ndarray
+    rooms: np.ndarray  # with balconies
     balcony: np.ndarray  # bool[r], which rooms are balconies
-    walls: np.ndarray
-    doors: np.ndarray
-    windows: np.ndarray
+    walls: np.ndarray  # structural elements
+    doors: np.ndarray  # openings between rooms
+    windows: np.ndarray  # openings to the outside
 
 
 def read_floors(path: str | Path, max_apartments: int = MAX_APARTMENTS) -> Floors:

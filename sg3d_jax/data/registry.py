@@ -25,7 +25,7 @@ from sg3d_jax.scene.validate import validate_graph
 class PaperRow(NamedTuple):
     """What the paper states about a data set; |E| and degree include the proximity edges."""
 
-    samples: int
+    samples: int  # how many graphs
     nodes: float  # mean |V|
     edges: float  # mean |E|
     degree: float  # mean over graphs of 2 |E| / |V|

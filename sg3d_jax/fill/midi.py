@@ -67,7 +67,7 @@ class Schedules(NamedTuple):
 class State(NamedTuple):
     """A block as it is denoised."""
 
-    topology: Topology
+    topology: Topology  # labels and edges
     position: Array  # float[M, 3], in the frame of the old graph, of about unit spread
 
 

@@ -47,15 +47,15 @@ class FlaggConfig:
 class Params(NamedTuple):
     """Parameters of the three modules; nothing else holds any."""
 
-    insert: Any
-    fill: Any
-    halt: Any
+    insert: Any  # of Insert; empty where there is one block size
+    fill: Any  # of the Fill model
+    halt: Any  # of Halt
 
 
 class Growth(NamedTuple):
     """What one growth step leaves."""
 
-    graph: PackedGraph
+    graph: PackedGraph  # with the block, if it fitted
     halted: Array  # bool[], Halt's decision
     fits: Array  # bool[], whether the block had room; the graph is unchanged if not
 

@@ -69,8 +69,8 @@ class OneShot(Model, Protocol):
 class Job(NamedTuple):
     """One sample of one scene, as far as it has come."""
 
-    scene: int
-    sample: int
+    scene: int  # its place in the list
+    sample: int  # its number among those of the scene
     graph: SceneGraph  # host graph, centred: what is given, and what was grown in a smaller bucket
     steps: int  # blocks inserted so far
 
@@ -79,8 +79,8 @@ class Finished(NamedTuple):
     """What became of a job, on the host."""
 
     graph: SceneGraph  # centred; what was given comes first
-    halt_reason: int
-    steps: int
+    halt_reason: int  # index into HALT_REASONS
+    steps: int  # blocks inserted
 
 
 def root_key(seed: int) -> Key[Array, ""]:

@@ -41,7 +41,7 @@ Arrays = dict[str, np.ndarray]
 class Dataset(NamedTuple):
     """Host graphs and what their file says about them."""
 
-    graphs: list[SceneGraph]
+    graphs: list[SceneGraph]  # in the order of the file
     header: dict[str, Any]  # JSON values, such as name, source, seed, and parts (`splits.split_of`)
 
 

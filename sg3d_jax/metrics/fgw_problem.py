@@ -53,7 +53,7 @@ class Problem(NamedTuple):
     """Two graphs of equally many nodes, dummies included; padding rows and columns are zero."""
 
     features: Float[Array, "N N"]  # |f_i - g_j|
-    hops: tuple[Int[Array, "N N"], Int[Array, "N N"]]
+    hops: tuple[Int[Array, "N N"], Int[Array, "N N"]]  # within each graph
     unit: Float[Array, ""]  # the hops that count as distance 1
     size: Int[Array, ""]  # nodes with mass
 

@@ -31,10 +31,10 @@ MAX_ITERATIONS = 50
 class Search(NamedTuple):
     """A Frank-Wolfe iterate."""
 
-    plan: Float[Array, "N N"]
+    plan: Float[Array, "N N"]  # mass from rows to columns
     structure: Float[Array, "N N"]  # sum_kl P_kl loss(a_ik, b_jl)
     gap: Float[Array, ""]  # how far the objective may be above a stationary point
-    iterations: Int[Array, ""]
+    iterations: Int[Array, ""]  # assignments solved so far
 
 
 def from_plan(plan: Float[Array, "N N"], structure: Float[Array, "N N"]) -> Search:

@@ -16,15 +16,15 @@ NUM_LAYERS: Final = 2
 class Dense(NamedTuple):
     """An affine map."""
 
-    weight: Float[Array, "I O"]
-    bias: Float[Array, " O"]
+    weight: Float[Array, "I O"]  # of the product
+    bias: Float[Array, " O"]  # added to it
 
 
 class Layer(NamedTuple):
     """What a GIN applies to a node and the sum of its neighbours."""
 
-    inner: Dense
-    outer: Dense
+    inner: Dense  # applied first
+    outer: Dense  # applied second
 
 
 GIN = tuple[Layer, ...]

@@ -32,7 +32,7 @@ class Oddity(enum.Enum):
 class Odd(NamedTuple):
     """An oddity, and the concepts that it is about."""
 
-    kind: Oddity
+    kind: Oddity  # what is odd
     concept: str | None = None  # of the nodes; None for those of any
     whole: str | None = None  # what they should be part of, once
 

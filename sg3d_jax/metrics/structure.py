@@ -21,8 +21,8 @@ ObservedSet = frozenset[int]
 class Hierarchy(NamedTuple):
     """The part-of edges of a host graph as lists."""
 
-    label: list[int]
-    neighbours: Neighbours
+    label: list[int]  # of each node
+    neighbours: Neighbours  # rows that each node has an edge to
     rank: dict[int, int]  # of each observed node among the observed
 
 

@@ -17,7 +17,7 @@ MISSING: Final = "-"
 class Row(NamedTuple):
     """One method on one data set."""
 
-    method: str
+    method: str  # as the table calls it
     cells: tuple[str, ...]  # one a score
 
 

@@ -44,7 +44,7 @@ class Conditioning(NamedTuple):
     """The old graph as the denoisers see it; computed once a growth step."""
 
     nodes: Array  # float[N, width], zero at padding
-    gates: Gates
+    gates: Gates  # on its edges
     surface: Surface  # of the N old nodes
     mask: Array  # bool[N]
 

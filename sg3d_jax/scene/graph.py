@@ -50,12 +50,12 @@ if TYPE_CHECKING:
     class SceneGraph(NamedTuple):
         """What type checkers see of the jraph `GraphsTuple` below: its fields are ours."""
 
-        nodes: Nodes
-        edges: Edges
-        senders: Array  # int32[E]
-        receivers: Array  # int32[E]
+        nodes: Nodes  # their fields
+        edges: Edges  # their fields
+        senders: Array  # int32[E], node each edge comes from
+        receivers: Array  # int32[E], node it goes to
         n_node: Array  # int32[1], or int32[2] if padded: real nodes, padding
-        n_edge: Array  # int32[1], or int32[2]
+        n_edge: Array  # int32[1], or int32[2], likewise
         globals: Ontology  # its concepts; no array, but part of the tree structure
 
 else:

@@ -19,8 +19,8 @@ Writer = Callable[[str, int, dict[str, float]], None]
 class JsonLines(NamedTuple):
     """Appends one JSON object a record to a file: greppable, and whole after a crash."""
 
-    path: Path
-    started: float
+    path: Path  # of the file
+    started: float  # when the run began, seconds of `time.time`
 
     def __call__(self, kind: str, step: int, values: dict[str, float]) -> None:
         """Appends the record, with the seconds since this process began; null if not finite."""
@@ -34,7 +34,7 @@ class JsonLines(NamedTuple):
 class TensorBoard(NamedTuple):
     """Writes to a tensorboardX summary writer."""
 
-    summary: Any
+    summary: Any  # a tensorboardX SummaryWriter
 
     def __call__(self, kind: str, step: int, values: dict[str, float]) -> None:
         """Adds every value as a scalar named kind/name."""
@@ -54,8 +54,8 @@ def writers(directory: Path) -> list[Writer]:
 class Display(NamedTuple):
     """The progress of a run on the terminal."""
 
-    progress: Progress
-    task: Any
+    progress: Progress  # rich's
+    task: Any  # rich's, of the whole run
 
     def advance(self, step: int, text: str) -> None:
         """Moves the bar to a step; off a terminal, prints one line instead."""

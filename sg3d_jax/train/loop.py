@@ -34,9 +34,9 @@ from sg3d_jax.train.weights import load_weights, save_weights
 class Run(NamedTuple):
     """What stays the same throughout a run."""
 
-    config: Config
-    model: Model
-    statistics: Measured
+    config: Config  # of the run
+    model: Model  # built from it and the statistics
+    statistics: Measured  # of the training set
     stacks: list[SceneGraph]  # training graphs by size
     validation: list[SceneGraph]  # host graphs
 

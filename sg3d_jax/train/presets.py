@@ -25,8 +25,8 @@ PACKAGE: Final = Path(__file__).parents[1]
 class Named(NamedTuple):
     """What a name stands for."""
 
-    method: str
-    data: str
+    method: str  # such as fd4
+    data: str  # a data set by name
 
 
 def parse(name: str) -> Named | None:

@@ -17,9 +17,9 @@ from sg3d_jax.train.config import Config
 class TrainState(NamedTuple):
     """Everything that a run carries from step to step."""
 
-    params: Params
+    params: Params  # as they are trained
     average: Params  # exponential moving average of params
-    optimiser: Any
+    optimiser: Any  # the moments of AdamW
     step: Array  # int32[]
 
 

@@ -34,10 +34,10 @@ FORMAT = "sg3d_jax weights 3"
 class Trained(NamedTuple):
     """A model with its parameters, ready to complete graphs."""
 
-    model: Model
-    params: Params
-    config: Config
-    statistics: Measured
+    model: Model  # hashable, ready to jit with
+    params: Params  # nested arrays
+    config: Config  # of the run that made them
+    statistics: Measured  # of its training set
     name: str  # as it was asked for
 
 

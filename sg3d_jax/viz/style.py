@@ -20,7 +20,7 @@ from sg3d_jax.scene.ontology import PART_OF, Ontology
 class Style(NamedTuple):
     """How one concept is drawn."""
 
-    colour: str
+    colour: str  # "#rrggbb"
     lift: float  # metres, up
     size: float  # diameter of the dot, points
 

@@ -11,8 +11,8 @@ from sg3d_jax.baselines.edge_clusters import (
     with_rooms_and_walls,
 )
 from sg3d_jax.metrics.fgw import fgw_pairs
-from sg3d_jax.scene.ontology import PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.graph import observed_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import NUM_PLANES, two_rooms
 

@@ -13,8 +13,8 @@ from sg3d_jax.baselines.edge_features import (
     relative_features,
     segment_distance,
 )
-from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.graph import Nodes, make_graph
+from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.padding import stack
 from tests.two_rooms import CAPACITY, NUM_PLANES, moved, on_device, two_rooms, with_garbage
 

@@ -19,7 +19,7 @@ from sg3d_jax.fill.midi import Frame, make_schedules
 from sg3d_jax.flagg.grow import ONE_SHOT
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
-from sg3d_jax.scene.graph import observed_of, subgraph, undirected_edges
+from sg3d_jax.scene.graph import observed_of, undirected_edges
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import part_of_adjacency, unpad
 from sg3d_jax.scene.validate import validate_graph
@@ -27,7 +27,6 @@ from tests.two_rooms import (
     CAPACITY,
     NUM_PLANES,
     STATISTICS,
-    moved,
     on_device,
     random_params,
     two_rooms,

@@ -5,8 +5,8 @@ import pytest
 
 from sg3d_jax.baselines.rand import FITTED_EDGE_PROBABILITY, complete, fit, fit_sized
 from sg3d_jax.data import registry
-from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, WALL
 from sg3d_jax.scene.graph import observed_of, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, WALL
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import two_rooms
 

@@ -252,7 +252,8 @@ def test_training__is_at_every_time_but_zero_and_at_the_level_of_the_time(monkey
         return jnp.mean((label == FLOOR).astype(jnp.float32)), time
 
     monkeypatch.setattr(digress, "apply", tell)
-    monkeypatch.setattr(digress, "cross_entropies", lambda kept, time, *_: {"kept": kept, "time": time})
+    terms = lambda kept, time, *_: {"kept": kept, "time": time}
+    monkeypatch.setattr(digress, "cross_entropies", terms)
 
     def loss(key):
         return digress.loss(TOLD, {}, key, old_graph(6), block, SCHEDULE, MARGINALS)

@@ -2,7 +2,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from scipy.stats import binom
 
 from sg3d_jax.flagg.corrupt import CorruptionConfig, added_slots, corrupt
