@@ -88,6 +88,9 @@ class AnchorFill:
         sizes = self.config.width, self.config.layers
         return AnchorNetwork(*sizes, self.ontology.num_concepts)
 
+    def _run(self, method: str, params: Any, *inputs: Any) -> Any:
+        return self.network.apply(params, *inputs, method=method)
+
     def init(self, key: Key[Array, ""], graph: sg.SceneGraph, block: sg.Block) -> Any:
         """Draws initial parameters."""
         return self.network.init(key, graph, jnp.asarray(0), jnp.asarray(0))
@@ -98,10 +101,8 @@ class AnchorFill:
         """Returns the negative log-likelihood of a block of one node, and its three terms."""
         label, is_part = block.label[0], block.edges[0, block.mask.shape[0] :]
         anchor = jax.random.categorical(key, jnp.where(is_part, 0.0, -1e9))
-        label_logits = self.network.apply(params, graph, method="label_logits")
-        anchor_logits, part_logits = self.network.apply(
-            params, graph, label, anchor, method="part_logits"
-        )
+        label_logits = self._run("label_logits", params, graph)
+        anchor_logits, part_logits = self._run("part_logits", params, graph, label, anchor)
         others = graph.nodes.mask.at[anchor].set(False)
         errors = optax.sigmoid_binary_cross_entropy(part_logits, is_part.astype(jnp.float32))
         cross_entropy = optax.softmax_cross_entropy_with_integer_labels
@@ -123,13 +124,11 @@ class AnchorFill:
         """Draws a block of one node."""
         key_label, key_anchor, key_parts = jax.random.split(key, 3)
         nodes, observed = graph.nodes, jnp.asarray(self.ontology.is_observed)
-        logits = self.network.apply(params, graph, method="label_logits")
+        logits = self._run("label_logits", params, graph)
         label = jax.random.categorical(key_label, jnp.where(observed, -jnp.inf, logits))
-        anchor_logits, _ = self.network.apply(
-            params, graph, label, jnp.asarray(0), method="part_logits"
-        )
+        anchor_logits, _ = self._run("part_logits", params, graph, label, jnp.asarray(0))
         anchor = jax.random.categorical(key_anchor, anchor_logits)
-        _, logits = self.network.apply(params, graph, label, anchor, method="part_logits")
+        _, logits = self._run("part_logits", params, graph, label, anchor)
         drawn = jax.random.bernoulli(key_parts, jax.nn.sigmoid(logits)) & nodes.mask
         parts = drawn.at[anchor].set(True)
         position = jnp.sum(nodes.position * parts[:, None], axis=0) / jnp.sum(parts)

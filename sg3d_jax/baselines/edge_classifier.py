@@ -363,7 +363,7 @@ def target(graph: SceneGraph) -> SceneGraph:
 
 @functools.partial(jax.jit, static_argnums=0)
 def classify_batch(
-    model: EdgeClassifier, params: Params, keys: Key[Array, " B"], planes: SceneGraph
+    model: EdgeClassifier, params: Params, keys: Key[Array, " B"], planes: PackedGraph
 ) -> tuple[SceneGraph, Classified]:
     """Connects the planes of stacked scenes and classifies their edges."""
     connected = jax.vmap(connect_observed)(planes)

@@ -9,7 +9,7 @@ from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, HALT_REASONS
 from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.candidates import medoids
-from sg3d_jax.infer.lanes import Finished, OneShot, complete_lanes
+from sg3d_jax.infer.lanes import Finished, Model, complete_lanes
 from sg3d_jax.infer.prepare import Scene, finished, prepare
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
@@ -53,7 +53,7 @@ class Completion(NamedTuple):
 
 
 def complete(
-    model: Flagg | OneShot,
+    model: Model,
     params: Params,
     scenes: Sequence[SceneGraph],
     seed: int = 0,

@@ -125,7 +125,7 @@ def num_lanes(capacity: Capacity) -> int:
 
 
 def complete_lanes(
-    model: Flagg | OneShot,
+    model: Model,
     params: Params,
     scenes: Sequence[Scene],
     seed: int,
@@ -172,7 +172,7 @@ def complete_lanes(
     return [[finished[scene, s] for s in range(samples)] for scene in range(len(scenes))]
 
 
-def _capacity(model: Flagg | OneShot, scene: Scene) -> Capacity:
+def _capacity(model: Model, scene: Scene) -> Capacity:
     """Returns the bucket in which a scene begins."""
     nodes = scene.given.nodes
     num_observed = int(np.sum(nodes.observed))
@@ -182,7 +182,7 @@ def _capacity(model: Flagg | OneShot, scene: Scene) -> Capacity:
 
 
 def _run(
-    model: Flagg | OneShot,
+    model: Model,
     params: Params,
     jobs: Sequence[Job],
     num_missing: Sequence[int],
@@ -198,8 +198,10 @@ def _run(
         nodes = given.nodes  # a graph of observed nodes alone is not asked about: one program less
         ask_first = bool(jnp.any(nodes.mask & ~nodes.observed & (steps == 0)[:, None]))
         grown = grow_lanes(model, params, keys, given, steps, max_steps, ask_first)
-    else:
+    elif isinstance(model, OneShot):
         grown = model.complete_lanes(params, keys, given, jnp.asarray(num_missing, jnp.int32))
+    else:
+        raise TypeError(f"{type(model).__name__} neither grows nor completes at once")
     grown = jax.tree.map(np.asarray, grown)
     return [_unstacked(jax.tree.map(operator.itemgetter(i), grown)) for i in range(len(jobs))]
 

@@ -20,7 +20,7 @@ from sg3d_jax.infer.lanes import Model, root_key
 from sg3d_jax.io.files import read_documents, replacing
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import exact_structure
-from sg3d_jax.scene.graph import SceneGraph, ontology_of
+from sg3d_jax.scene.graph import PackedGraph, SceneGraph, ontology_of
 from sg3d_jax.train import checkpoint
 from sg3d_jax.train.config import Config, check, to_json
 from sg3d_jax.train.dataset import load_split, stack_by_size
@@ -37,7 +37,7 @@ class Run(NamedTuple):
     config: Config  # of the run
     model: Model  # built from it and the statistics
     statistics: Measured  # of the training set
-    stacks: list[SceneGraph]  # training graphs by size
+    stacks: list[PackedGraph]  # training graphs by size
     validation: list[SceneGraph]  # host graphs
 
 

@@ -136,8 +136,11 @@ def _read(path: Path, name: str) -> Trained:
 
 def _statistics(kind: type[Measured], arrays: dict[str, np.ndarray]) -> Measured:
     """Returns statistics as plain numbers."""
-    values = {field: arrays[f"statistics/{field}"].tolist() for field in kind._fields}
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+    values: dict[str, Any] = {}
+    for field in kind._fields:
+        value = arrays[f"statistics/{field}"].tolist()
+        values[field] = tuple(value) if isinstance(value, list) else value
+    return kind(**values)
 
 
 def _flat(tree: Any, path: str) -> Iterator[tuple[str, np.ndarray]]:
