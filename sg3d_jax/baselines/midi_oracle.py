@@ -180,8 +180,8 @@ class MiDiOracle:
         """
         if not num_missing:
             raise ValueError(
-                "a scene has planes alone, expected a complete graph: MiDi+Or must be told how "
-                "many nodes there are"
+                "has planes alone, expected a complete graph: MiDi+Or must be told how many nodes "
+                "there are"
             )
         return bucket(max(num_observed + num_missing, 2 * num_missing))
 

@@ -176,9 +176,12 @@ def _capacity(model: Model, scene: Scene) -> Capacity:
     """Returns the bucket in which a scene begins."""
     nodes = scene.given.nodes
     num_observed = int(np.sum(nodes.observed))
-    if isinstance(model, OneShot):
-        return model.capacity(num_observed, scene.num_missing)
-    return growth_capacity(num_observed, len(nodes.label))
+    try:
+        if isinstance(model, OneShot):
+            return model.capacity(num_observed, scene.num_missing)
+        return growth_capacity(num_observed, len(nodes.label))
+    except ValueError as error:
+        raise ValueError(f"{scene.where}: {error}") from error
 
 
 def _run(

@@ -17,6 +17,7 @@ from sg3d_jax.scene.validate import checked_observed, validate_graph
 class Scene(NamedTuple):
     """A scene that may be completed."""
 
+    where: str  # what a refusal calls it
     given: SceneGraph  # host graph without proximity edges, in the user's frame
     centred: SceneGraph  # the same around the mean of what is observed
     centre: np.ndarray  # float64[3], metres
@@ -57,7 +58,7 @@ def _prepared(scene: Any, ontology: Ontology, keep: bool, where: str) -> Scene:
     given = _without_proximity(scene) if keep else observed_of(scene)
     centre = centre_of_observed(given)
     num_missing = len(scene.nodes.label) - len(given.nodes.label)
-    return Scene(given, moved_by(given, -centre), centre, num_missing)
+    return Scene(where, given, moved_by(given, -centre), centre, num_missing)
 
 
 def finished(scene: Scene, grown: SceneGraph) -> SceneGraph:

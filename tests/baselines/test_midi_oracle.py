@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sg3d_jax.baselines import midi_oracle
 from sg3d_jax.baselines.midi_oracle import (
     MiDiOracle,
     MiDiOracleConfig,
@@ -15,16 +16,20 @@ from sg3d_jax.baselines.midi_oracle import (
     one_shot_cut,
 )
 from sg3d_jax.fill import midi
-from sg3d_jax.fill.midi import Frame, make_schedules
+from sg3d_jax.fill.midi import Frame, Schedules, make_schedules
 from sg3d_jax.flagg.grow import ONE_SHOT
 from sg3d_jax.infer.complete import complete
+from sg3d_jax.nn.embed import surface_of
+from sg3d_jax.nn.graph_transformer import Conditioning
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
 from sg3d_jax.scene.graph import observed_of, undirected_edges
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import part_of_adjacency, unpad
+from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import (
     CAPACITY,
+    NO_GATES,
     NUM_PLANES,
     STATISTICS,
     on_device,
@@ -116,6 +121,74 @@ def test_inpainted_planes__are_the_truth_with_the_noise_of_their_time(time):
     np.testing.assert_allclose(drawn.mean(axis=0), 1 + level**2 * (clean - 1), atol=0.08 * level)
     spread = 2.5 * level * np.sqrt(max(1 - level**2, 0))
     np.testing.assert_allclose(drawn.std(axis=0), spread, rtol=0.1, atol=1e-6)
+
+
+def as_it_is_shown(encoder, params, graph):
+    """Encodes nothing: for networks that look at the positions of the planes alone."""
+    return Conditioning(jnp.zeros(0), NO_GATES, surface_of(graph.nodes), graph.nodes.mask)
+
+
+def drawn_to_planes(network, params, conditioning, centre, mask, label, edges, guess, time):
+    """Predicts a place between the first guess and the planes, and nothing of the rest."""
+    surface = conditioning.surface.position * conditioning.mask[:, None]
+    logits = jnp.zeros((len(mask), NUM_CONCEPTS)), jnp.zeros((*edges.shape, 2))
+    return *logits, 0.8 * guess + 0.1 * jnp.sum(surface, axis=0)[None] / NUM_PLANES
+
+
+@jax.debug_key_reuse(False)
+def test_a_sample__is_that_of_a_loop_that_undoes_each_step_and_takes_it_again(monkeypatch):
+    monkeypatch.setattr(midi_oracle, "apply", as_it_is_shown)
+    monkeypatch.setattr(midi, "apply", drawn_to_planes)
+    config = dataclasses.replace(SIZES, diffusion_steps=9, sampling_steps=3, resamplings=1)
+    model, params = MiDiOracle(config, STATISTICS), {"encoder": None, "denoiser": None}
+    planes, schedules = connect_observed(on_device(observed_of(SCENE))), make_schedules(config)
+    frame = midi.frame_of(planes, STATISTICS)
+    mask = jnp.arange(one_shot_capacity(CAPACITY.nodes)) < NUM_NEW
+    known = mask, planes.nodes.mask, STATISTICS.marginals
+
+    @jax.jit
+    def draw(key, state, now, then):
+        at_now, at_then = schedules.at(now), schedules.at(then)
+        between = Schedules(*(one / other for one, other in zip(at_now, at_then, strict=True)))
+        key_planes, key_draw, key_undo = jax.random.split(key, 3)
+        shown = as_it_is_shown(None, None, inpaint(key_planes, planes, frame, at_now))
+        inputs = model.network, None, shown, frame, mask, state, at_now, now
+        predicted = midi.denoise(*inputs)
+        drawn = midi.reverse_step(key_draw, state, predicted, at_then, at_now, *known)
+        return drawn, midi.add_noise(key_undo, drawn, between, *known)
+
+    key = jax.random.key(5)
+    key_start, key_steps = jax.random.split(key)
+    state, keys = jax.jit(midi.draw_start)(key_start, *known), jax.random.split(key_steps, 3)
+    for step, times in enumerate([(9, 6), (6, 3), (3, 0)]):
+        first, again = jax.random.split(keys[step], 2)
+        _, undone = draw(first, state, *map(jnp.asarray, times))
+        state, _ = draw(again, undone, *map(jnp.asarray, times))
+    expected = midi.to_block(state, frame, mask)
+    grown = jax.jit(model.sample)(params, key, planes, jnp.asarray(NUM_NEW)).graph.nodes
+    new = slice(NUM_PLANES, NUM_PLANES + NUM_NEW)
+    np.testing.assert_array_equal(grown.label[new], expected.label[:NUM_NEW])
+    np.testing.assert_allclose(grown.position[new], expected.position[:NUM_NEW], atol=1e-4)
+
+
+def test_training__shows_planes_with_the_noise_of_the_time_of_the_block(monkeypatch):
+    def tell(network, params, key, conditioning, frame, block, signal, time, marginals):
+        level, clean = signal.position, SCENE.nodes.position[0, 0]
+        error = conditioning.surface.position[0, 0] - frame.centre[0]
+        error -= level**2 * (clean - frame.centre[0])
+        spread = frame.scale * level * jnp.sqrt(1 - level**2)
+        scaled = jnp.where(time < STEPS, error / spread, 0.0)  # nothing is left at the last time
+        return {"label": scaled, "edge": scaled**2, "position": 1.0 * time}
+
+    monkeypatch.setattr(midi_oracle, "apply", as_it_is_shown)
+    monkeypatch.setattr(midi, "losses", tell)
+    config = dataclasses.replace(SIZES, noise_levels=3000)
+    params = {"encoder": None, "denoiser": None}
+    graph = on_device(SCENE)
+    terms = jax.jit(MiDiOracle(config, STATISTICS).loss)(params, jax.random.key(6), graph)[1]
+    np.testing.assert_allclose(terms["label"], 0, atol=0.08)
+    np.testing.assert_allclose(terms["edge"], 1 - 1 / STEPS, atol=0.12)
+    np.testing.assert_allclose(terms["position"], np.mean(range(1, STEPS + 1)), atol=0.08)
 
 
 @jax.debug_key_reuse(False)

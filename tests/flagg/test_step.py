@@ -95,9 +95,11 @@ class TellingFill(AddRooms):
         return label, {"label": label, "noise": jax.random.uniform(key)}
 
 
-def test_loss__is_a_mean_over_what_may_come_next():
+@pytest.mark.parametrize("layers", [(), ("floor", "room", "wall", "building", "city")])
+def test_loss__is_a_mean_over_what_may_come_next(layers):
     """Walls come first and rooms after them; a wall and two rooms cannot share a state."""
-    config = FlaggConfig(coins=(1,), width=4, depth=1, corruption=QUIET, continuations=16)
+    sizes = {"width": 4, "depth": 1, "corruption": QUIET}
+    config = FlaggConfig(coins=(1,), layers=layers, continuations=16, **sizes)
     model, graph = make_flagg(config, TellingFill()), on_device(SCENE)
     params = random_params(functools.partial(model.init, graph=graph))
 
@@ -120,7 +122,7 @@ def shown(graph):
 
 class ShownInsert(Insert):
     def logits(self, params, graph):
-        return jnp.stack([jnp.zeros(()), shown(graph)])
+        return jnp.stack([shown(graph), jnp.zeros(())])
 
 
 class ShownHalt(Halt):
@@ -145,7 +147,7 @@ def test_every_module__is_trained_on_the_perturbed_graph_and_the_clean_block():
         cut = step.cut_graph(config, key_cut, graph)
         told = shown(corrupt(cut.survivors, key_corrupt, strong))
         halt = halt_loss(told, cut.complete, cut.inserted)
-        insert = insert_loss(jnp.stack([jnp.zeros(()), told]), cut.insert_probs)
+        insert = insert_loss(jnp.stack([told, jnp.zeros(())]), cut.insert_probs)
         expected = {"fill": told, "insert": insert, "halt": halt}
         return model.loss(NEVER, key, graph)[1], expected, told - shown(cut.survivors)
 

@@ -7,12 +7,16 @@ from sg3d_jax.baselines.edge_classifier import ECL, ECLConfig, ECSquare, ECSquar
 from sg3d_jax.baselines.edge_features import Scales
 from sg3d_jax.baselines.midi_oracle import MiDiOracle, MiDiOracleConfig
 from sg3d_jax.flagg.grow import grow_lanes
+from sg3d_jax.infer import complete as completing
 from sg3d_jax.infer.complete import Completion, complete
 from sg3d_jax.infer.lanes import growth_capacity
+from sg3d_jax.io.planes import planes
 from sg3d_jax.scene.graph import SceneGraph, observed_of, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.validate import validate_graph
+from sg3d_jax.train.weights import load_weights
 from tests.growing_rooms import MODEL, NEVER, AddRooms, grows_rooms, stop_at
+from tests.tiny_run import untrained_weights
 from tests.two_rooms import NUM_PLANES, STATISTICS, moved, on_device, random_params, two_rooms
 
 SCENE = two_rooms()
@@ -187,5 +191,62 @@ def test_one_shot_samples__do_not_depend_on_the_batch_and_shift_with_the_scene()
 
 def test_a_scene_without_anything_but_planes__is_refused_by_an_oracle():
     params = {"encoder": jnp.zeros(()), "denoiser": jnp.zeros(())}
-    with pytest.raises(ValueError, match=r"^scene 1 has planes alone, expected a complete graph"):
+    with pytest.raises(ValueError, match=r"^scene 1: has planes alone, expected a complete graph"):
         complete(ORACLE, params, [SCENE, observed_of(SCENE)])
+
+
+def test_of_several_candidates__the_medoid_is_kept(monkeypatch):
+    chosen = []
+
+    def last(groups):
+        chosen.extend(groups)
+        return [len(group) - 1 for group in groups]
+
+    monkeypatch.setattr(completing, "medoids", last)
+    scenes = [first_planes(8), first_planes(5)]
+    kept = complete(MODEL, stop_at(11), scenes, samples=2, candidates=3)
+    drawn = complete(MODEL, stop_at(11), scenes, samples=6)
+    assert [len(group) for group in chosen] == [3] * 4
+    for of_kept, of_drawn in zip(kept, drawn, strict=True):
+        assert len(of_kept) == 2
+        assert same(of_kept[0], of_drawn[2])
+        assert same(of_kept[1], of_drawn[5])
+
+
+def test_what_was_given_and_grown__is_named_by_concept():
+    known = subgraph(SCENE, np.r_[0:8, 9])  # the planes and a room
+    [[completion]] = complete(MODEL, stop_at(13), [known], keep=True)
+    assert {name: rows.tolist() for name, rows in completion.observed.items()} == {
+        "plane": [*range(8)]
+    }
+    assert {name: rows.tolist() for name, rows in completion.kept.items()} == {"room": [8]}
+    assert list(completion.grown) == ["room"]
+    assert completion.grown["room"].tolist() == [*range(9, len(completion.graph.nodes.label))]
+    [[completion]] = complete(MODEL, stop_at(13), [known])
+    assert completion.kept == {}
+    assert completion.grown["room"][0] == 8
+
+
+def test_a_scene_too_large_for_any_bucket__is_refused_by_name():
+    many = planes(
+        np.random.default_rng(0).uniform(0, 90, (1200, 3)),
+        np.tile([[1.0, 0.0, 0.0]], (1200, 1)),
+        np.ones(1200),
+    )
+    with pytest.raises(ValueError, match=r"^scene 1: a graph of 2168 nodes and .* exceeds"):
+        complete(MODEL, NEVER, [SCENE, many])
+
+
+@pytest.mark.parametrize("option", ["samples", "candidates", "lanes"])
+def test_numbers_below_one__are_refused(option):
+    with pytest.raises(ValueError, match=f"{option} is -1, expected at least 1"):
+        complete(MODEL, NEVER, [SCENE], **{option: -1})
+
+
+def test_weights_that_are_loaded_twice__are_compiled_once(tmp_path):
+    path = untrained_weights(tmp_path, "midi")
+    for _ in range(2):
+        trained = load_weights(path)
+        before = grow_lanes._cache_size()
+        complete(trained.model, trained.params, [observed_of(SCENE)])
+    assert grow_lanes._cache_size() == before
