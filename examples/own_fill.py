@@ -81,6 +81,7 @@ class AnchorFill:
     config: AnchorConfig
     statistics: sg.Statistics  # of the training set; this model has no use for it
     ontology: sg.Ontology
+    kin: int = 0  # its encoder adds no edges between kin
 
     @property
     def network(self) -> AnchorNetwork:

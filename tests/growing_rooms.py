@@ -21,6 +21,7 @@ class AddRooms:
 
     label: int = ROOM  # or with nodes of another concept
     ontology: Ontology = PAPER_ONTOLOGY
+    kin: int = 8  # a room more than a third of the slots does not fit
 
     def init(self, key: jax.Array, graph: PackedGraph, block: Block) -> None:
         return None

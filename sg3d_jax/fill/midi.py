@@ -255,6 +255,11 @@ class MiDi:
     ontology: Ontology = PAPER_ONTOLOGY
 
     @property
+    def kin(self) -> int:
+        """The nearest kin that the encoder joins a node to."""
+        return self.config.kin
+
+    @property
     def encoder(self) -> OldGraphEncoder:
         """The encoder of the old graph."""
         config = self.config

@@ -53,6 +53,11 @@ class Fill(Protocol):
         """The concepts of the graphs that it fills."""
         ...
 
+    @property
+    def kin(self) -> int:
+        """The nearest kin that its encoder joins a node to (`nn.kin`); 0 if it has none."""
+        ...
+
     def init(self, key: Key[Array, ""], graph: SceneGraph, block: Block) -> Params:
         """Draws initial parameters, given any graph and block of the shapes to come."""
         ...

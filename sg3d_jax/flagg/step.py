@@ -136,7 +136,8 @@ class Flagg:
         block_mask: Bool[Array, " M"] = jnp.arange(max(coins)) < size
         block: Block = self.fill.sample(params.fill, key_fill, graph, block_mask)
         grown, fits = append_block(graph, block)
-        fits &= kin_fit(grown)
+        if self.fill.kin:
+            fits &= kin_fit(grown)
         grown = jax.tree.map(lambda new, old: jnp.where(fits, new, old), grown, graph)
         return Growth(grown, self.halts(params, key_halt, grown), fits)
 

@@ -89,7 +89,11 @@ def complete(
         scene without planes, numbers that are none, wrong shapes; a model that cannot keep; numbers
         out of range.
     """
-    for name, value in (("samples", samples), ("candidates", candidates), ("lanes", lanes or 1)):
+    for name, value in (
+        ("samples", samples),
+        ("candidates", candidates),
+        ("lanes", 1 if lanes is None else lanes),
+    ):
         if value < 1:
             raise ValueError(f"{name} is {value}, expected at least 1")
     if keep and not isinstance(model, Flagg):

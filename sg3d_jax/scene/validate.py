@@ -209,7 +209,8 @@ def _check_metres(position: np.ndarray, width: np.ndarray, where: str, plural: s
 
 def _check_duplicates(columns: Mapping[str, np.ndarray], where: str, plural: str) -> None:
     rows = np.column_stack([*columns.values()])
-    rounded = np.round(rows, DUPLICATE_DECIMALS) + 0.0  # + 0.0 makes -0.0 and 0.0 the same
+    with np.errstate(over="ignore"):  # what is too far off is refused as no metres
+        rounded = np.round(rows, DUPLICATE_DECIMALS) + 0.0  # + 0.0 makes -0.0 and 0.0 the same
     _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     original = first[group.reshape(-1)]
     repeats = np.flatnonzero(original != np.arange(len(rows)))

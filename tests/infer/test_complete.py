@@ -239,6 +239,8 @@ def test_a_scene_too_large_for_any_bucket__is_refused_by_name():
 
 @pytest.mark.parametrize("option", ["samples", "candidates", "lanes"])
 def test_numbers_below_one__are_refused(option):
+    with pytest.raises(ValueError, match=f"{option} is 0, expected at least 1"):
+        complete(MODEL, NEVER, [SCENE], **{option: 0})
     with pytest.raises(ValueError, match=f"{option} is -1, expected at least 1"):
         complete(MODEL, NEVER, [SCENE], **{option: -1})
 
