@@ -61,6 +61,7 @@ def complete(
     candidates: int = 1,
     keep: bool = False,
     lanes: int | None = None,
+    outgrow: bool = True,
     max_steps: int = DEFAULT_MAX_STEPS,
     names: Sequence[str] | None = None,
 ) -> list[list[Completion]]:
@@ -78,6 +79,8 @@ def complete(
         grow on from there.
       lanes: scenes grown together in one call; None for as many as suit. Results do not depend on
         it.
+      outgrow: whether a graph that does not fit its bucket goes on in the next, with room for up to
+        three nodes a plane; else it ends there, with the halt reason CAPACITY.
       max_steps: a limit on the number of blocks.
       names: what a refusal calls each scene, such as "planes.jsonl: line 3".
 
@@ -100,7 +103,8 @@ def complete(
         given = model.ontology.observed_plural
         raise ValueError(f"keep: this model completes {given} alone, expected one that grows")
     prepared = prepare(scenes, model.ontology, keep, names)
-    drawn = complete_lanes(model, params, prepared, seed, samples * candidates, max_steps, lanes)
+    numbers = seed, samples * candidates, max_steps, lanes
+    drawn = complete_lanes(model, params, prepared, *numbers, outgrow)
     completions = [
         [_completion(scene, result) for result in results]
         for scene, results in zip(prepared, drawn, strict=True)

@@ -119,6 +119,18 @@ def growth_capacity(num_observed: int, num_given: int = 0) -> Capacity:
     return bucket(max(int(1.8 * num_observed), num_given) + 8)
 
 
+def largest_capacity(num_observed: int, num_given: int = 0) -> Capacity:
+    """Returns the largest bucket in which a scene goes on: room for three nodes a plane.
+
+    That is four times what complete graphs need: a graph beyond it will hardly come to an end.
+
+    Args:
+      num_observed: observed nodes.
+      num_given: all nodes that are given; 0 for the observed ones alone.
+    """
+    return bucket(min(max(3 * num_observed, num_given) + 16, NODE_CAPACITIES[-1]))
+
+
 def num_lanes(capacity: Capacity) -> int:
     """Returns how many scenes of a bucket are grown together by default."""
     return max(1, min(LANES, LANE_NODES // capacity.nodes))
@@ -132,6 +144,7 @@ def complete_lanes(
     samples: int,
     max_steps: int,
     lanes: int | None = None,
+    outgrow: bool = True,
 ) -> list[list[Finished]]:
     """Completes prepared scenes in batches of one size.
 
@@ -143,6 +156,8 @@ def complete_lanes(
       samples: graphs a scene.
       max_steps: a limit on the number of blocks.
       lanes: scenes grown together; None for `num_lanes`. The results do not depend on it.
+      outgrow: whether a graph that does not fit goes on in the next bucket, up to
+        `largest_capacity`.
 
     Returns:
       For every scene, in order, its samples.
@@ -163,7 +178,11 @@ def complete_lanes(
             missing = [scenes[job.scene].num_missing for job in padded]
             results = _run(model, params, padded, missing, capacity, seed, max_steps)
             for job, result in zip(batch, results, strict=False):
-                if result.halt_reason == CAPACITY and capacity.nodes < NODE_CAPACITIES[-1]:
+                if (
+                    result.halt_reason == CAPACITY
+                    and outgrow
+                    and capacity < _most(scenes[job.scene])
+                ):
                     larger = bucket(capacity.nodes + 1)
                     later = Job(job.scene, job.sample, result.graph, result.steps)
                     waiting.setdefault(larger, []).append(later)
@@ -182,6 +201,12 @@ def _capacity(model: Model, scene: Scene) -> Capacity:
         return growth_capacity(num_observed, len(nodes.label))
     except ValueError as error:
         raise ValueError(f"{scene.where}: {error}") from error
+
+
+def _most(scene: Scene) -> Capacity:
+    """Returns the largest bucket of a scene."""
+    nodes = scene.given.nodes
+    return largest_capacity(int(np.sum(nodes.observed)), len(nodes.label))
 
 
 def _run(

@@ -10,18 +10,20 @@ from sg3d_jax.infer.lanes import (
     OneShot,
     complete_lanes,
     growth_capacity,
+    largest_capacity,
     num_lanes,
     root_key,
     sample_keys,
 )
 from sg3d_jax.infer.prepare import prepare
 from sg3d_jax.scene.graph import subgraph, undirected_edges
-from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, WALL
 from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity
-from tests.growing_rooms import MODEL, NEVER, stop_at
+from tests.growing_rooms import NEVER, AddRooms, grows_rooms, stop_at
 from tests.tiny_run import untrained_model
 from tests.two_rooms import two_rooms
 
+MODEL = grows_rooms(1, 2, fill=AddRooms(WALL))  # of which every slot may be one
 PARTS = [subgraph(two_rooms(), np.arange(count)) for count in (8, 5, 3, 2, 7)]
 
 
@@ -59,25 +61,36 @@ def test_a_graph_that_does_not_fit_goes_on_in_the_next_bucket():
     """As it would have grown in a large one from the start, with the same keys."""
     scenes = PARTS[:2]
     assert growth_capacity(8).nodes == 24
-    grown = completed(scenes, stop_at(70))
+    grown = completed(scenes, stop_at(36))
     assert [one.halt_reason for (one,) in grown] == [HALTED, HALTED]
-    assert all(len(one.graph.nodes.label) >= 70 for (one,) in grown)
+    assert all(len(one.graph.nodes.label) >= 36 for (one,) in grown)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lanes, "growth_capacity", lambda *_: Capacity(384, 4608))
-        for (one,), (other,) in zip(grown, completed(scenes, stop_at(70)), strict=True):
+        patch.setattr(lanes, "growth_capacity", lambda *_: Capacity(64, 768))
+        for (one,), (other,) in zip(grown, completed(scenes, stop_at(36)), strict=True):
             assert_same(one, other)
 
 
-def test_what_fits_in_no_bucket_says_so(monkeypatch):
-    monkeypatch.setattr(lanes, "NODE_CAPACITIES", (16, 24, 32, 48))
-    ((one,),) = completed(PARTS[:1], NEVER, max_steps=1000)
+def test_a_graph_beyond_three_nodes_a_plane_is_given_up():
+    assert growth_capacity(5).nodes == 24
+    assert largest_capacity(5).nodes == 32
+    assert largest_capacity(500).nodes == 1536
+    assert largest_capacity(5, 100).nodes == 128
+    assert largest_capacity(10**6).nodes == NODE_CAPACITIES[-1]
+    ((one,),) = completed(PARTS[1:2], NEVER, max_steps=1000)
     assert one.halt_reason == CAPACITY
-    assert 14 <= len(one.graph.nodes.label) <= 48
+    assert len(one.graph.nodes.label) in (31, 32)
+
+
+def test_a_graph_may_be_kept_in_its_bucket():
+    ((one,),) = completed(PARTS[1:2], NEVER, max_steps=1000, outgrow=False)
+    assert one.halt_reason == CAPACITY
+    assert len(one.graph.nodes.label) in (23, 24)
 
 
 def test_the_number_of_steps_is_limited_over_all_buckets():
-    ((one,),) = completed(PARTS[:1], NEVER, max_steps=30)
-    assert (one.halt_reason, one.steps) == (MAX_STEPS, 30)
+    ((one,),) = completed(PARTS[:1], NEVER, max_steps=18)
+    assert (one.halt_reason, one.steps) == (MAX_STEPS, 18)
+    assert len(one.graph.nodes.label) > growth_capacity(8).nodes
 
 
 def test_a_partial_graph_has_room_for_what_is_given():
