@@ -250,5 +250,5 @@ def test_weights_that_are_loaded_twice__are_compiled_once(tmp_path):
     for _ in range(2):
         trained = load_weights(path)
         before = grow_lanes._cache_size()
-        complete(trained.model, trained.params, [observed_of(SCENE)])
+        complete(trained.model, trained.params, [observed_of(SCENE)], max_steps=1)
     assert grow_lanes._cache_size() == before
