@@ -100,9 +100,6 @@ def pack(graph: SceneGraph) -> PackedGraph:
         real = mask.reshape(-1, *[1] * (array.ndim - 1))
         return jnp.where(real, array, jnp.zeros_like(array))[order]
 
-    def counts(mask: Array) -> Array:
-        return jnp.stack([jnp.sum(mask), jnp.sum(~mask)]).astype(jnp.int32)
-
     ends = (place[end].astype(end.dtype) for end in (graph.senders, graph.receivers))
     senders, receivers = (moved(end, edges.mask, edge_order) for end in ends)
     return PackedGraph(
@@ -110,8 +107,8 @@ def pack(graph: SceneGraph) -> PackedGraph:
         edges=Edges(*(moved(field, edges.mask, edge_order) for field in edges)),
         senders=senders,
         receivers=receivers,
-        n_node=counts(nodes.mask),
-        n_edge=counts(edges.mask),
+        n_node=_counts(nodes.mask),
+        n_edge=_counts(edges.mask),
         globals=graph.globals,
     )
 
@@ -132,20 +129,21 @@ def part_of_adjacency(graph: SceneGraph) -> Bool[Array, "N N"]:
 
 def masked(graph: SceneGraph, nodes: Bool[Array, " N"], edges: Bool[Array, " E"]) -> SceneGraph:
     """Returns a padded graph with other masks: no longer packed, its slots may have holes."""
-
-    def counts(mask: Bool[Array, " K"]) -> Int[Array, "2"]:
-        count = jnp.sum(mask, dtype=jnp.int32)
-        return jnp.stack([count, mask.shape[0] - count])
-
     return SceneGraph(
         nodes=graph.nodes._replace(mask=nodes, observed=graph.nodes.observed & nodes),
         edges=graph.edges._replace(mask=edges),
         senders=graph.senders,
         receivers=graph.receivers,
-        n_node=counts(nodes),
-        n_edge=counts(edges),
+        n_node=_counts(nodes),
+        n_edge=_counts(edges),
         globals=graph.globals,
     )
+
+
+def _counts(mask: Bool[Array, " K"]) -> Int[Array, "2"]:
+    """Returns how many slots are real, and how many padding."""
+    count = jnp.sum(mask, dtype=jnp.int32)
+    return jnp.stack([count, mask.shape[0] - count])
 
 
 def without_proximity(graph: SceneGraph) -> SceneGraph:
