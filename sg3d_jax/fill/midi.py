@@ -15,7 +15,14 @@ from sg3d_jax.diffusion.sampler import ancestral_sample
 from sg3d_jax.diffusion.schedules import cosine
 from sg3d_jax.fill import digress
 from sg3d_jax.fill.digress import Levels, Topology
-from sg3d_jax.fill.protocol import Marginals, Params, Statistics, Terms, frame_centre
+from sg3d_jax.fill.protocol import (
+    Marginals,
+    Params,
+    Statistics,
+    Terms,
+    cross_marginal,
+    frame_centre,
+)
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, OldGraphEncoder
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
@@ -25,6 +32,7 @@ from sg3d_jax.scene.padding import Block
 
 EDGE_WEIGHT = 5.0
 MAX_SIGNAL_TO_NOISE = 20.0
+LEAST_SCALE = 0.5  # metres, of the frame of a scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +47,8 @@ class MiDiConfig:
     layers: int = 4
     heads: int = 8
     kin: int = 0  # nearest nodes of its own concept that a node hears of
+    contacts: int = 0  # observed nodes that one hears of because their extents come close
+    scene_scale: bool = False  # noise as wide as the scene, and its edges as many in every one
     diffusion_steps: int = 500  # S, of the trained schedules
     position_exponent: float = 2.5  # nu of the schedules: positions settle first,
     edge_exponent: float = 1.5  # then edges,
@@ -102,6 +112,15 @@ def frame_of(graph: SceneGraph, statistics: Statistics) -> Frame:
     """Returns the frame of an old graph: its mean, and the spread of new nodes around it."""
     centre = frame_centre(graph.nodes.position, graph.nodes.mask)
     return Frame(centre, jnp.asarray(statistics.position_std, jnp.float32))
+
+
+def scene_frame(graph: SceneGraph) -> Frame:
+    """Returns the frame of an old graph of any size: its mean, and the spread of its nodes."""
+    position, mask = graph.nodes.position, graph.nodes.mask
+    centre = frame_centre(position, mask)
+    squared = jnp.sum((position - centre[None]) ** 2 * mask[:, None])
+    spread = jnp.sqrt(squared / (3 * jnp.maximum(jnp.sum(mask), 1)) + LEAST_SCALE**2)
+    return Frame(centre, spread)
 
 
 def state_of(block: Block, frame: Frame) -> State:
@@ -263,14 +282,21 @@ class MiDi:
     def encoder(self) -> OldGraphEncoder:
         """The encoder of the old graph."""
         config = self.config
-        return OldGraphEncoder(
-            config.encoder_width, config.encoder_layers, config.gates, config.kin
-        )
+        sizes = config.encoder_width, config.encoder_layers, config.gates
+        return OldGraphEncoder(*sizes, kin=config.kin, contacts=config.contacts)
 
     @property
     def network(self) -> RelaxedTransformer:
         """The denoiser."""
         return make_network(self.config, self.ontology)
+
+    def prior(self, graph: SceneGraph) -> tuple[Frame, Marginals]:
+        """Returns where noise is drawn in a scene, and how: as in training, or by its size."""
+        marginals = self.statistics.marginals
+        if not self.config.scene_scale:
+            return frame_of(graph, self.statistics), marginals
+        cross = cross_marginal(self.statistics.cross_degree, graph.nodes.mask)
+        return scene_frame(graph), marginals._replace(cross_edge=cross)
 
     def init(self, key: Key[Array, ""], graph: SceneGraph, block: Block) -> Params:
         """Draws initial parameters."""
@@ -289,8 +315,8 @@ class MiDi:
     ) -> tuple[Float[Array, ""], Terms]:
         """Returns the weighted sum of `losses`, a mean over diffusion times, and its terms."""
         conditioning = apply(self.encoder, params["encoder"], graph)
-        frame, schedules = frame_of(graph, self.statistics), make_schedules(self.config)
-        marginals = self.statistics.marginals
+        schedules = make_schedules(self.config)
+        frame, marginals = self.prior(graph)
 
         def at_one_level(key: Key[Array, ""]) -> Terms:
             key_time, key_noise = jax.random.split(key)
@@ -311,8 +337,9 @@ class MiDi:
     ) -> Block:
         """Draws a block, all of it at once, in the frame of the old graph."""
         conditioning = apply(self.encoder, params["encoder"], graph)
-        frame, schedules = frame_of(graph, self.statistics), make_schedules(self.config)
-        masks, marginals = (block_mask, conditioning.mask), self.statistics.marginals
+        schedules = make_schedules(self.config)
+        frame, marginals = self.prior(graph)
+        masks = block_mask, conditioning.mask
         key_start, key_steps = jax.random.split(key)
 
         def step(key: Array, noisy: State, now: Array, then: Array) -> State:

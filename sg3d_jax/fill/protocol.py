@@ -33,6 +33,7 @@ class Statistics(NamedTuple):
     distance_mean: float  # metres, on new edges
     distance_std: float  # metres
     position_std: float  # metres a coordinate, of new nodes around the old graph's mean
+    cross_degree: float = 0.0  # mean edges of a new node to the old graph
 
     @property
     def marginals(self) -> Marginals:
@@ -77,6 +78,15 @@ class Fill(Protocol):
     ) -> Block:
         """Draws a block of the places in the mask, given the old graph."""
         ...
+
+
+def cross_marginal(degree: float, old_mask: Bool[Array, " N"]) -> Float[Array, "2"]:
+    """Returns the marginal of {no edge, edge} of a new node that has so many among the old ones.
+
+    One chance for all sizes would hide four edges of a new node among thirty drawn ones in a city.
+    """
+    chance = jnp.clip(degree / jnp.maximum(jnp.sum(old_mask), 1), 1e-3, 0.5)
+    return jnp.stack([1 - chance, chance])
 
 
 def real_pairs(

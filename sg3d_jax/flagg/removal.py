@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Key
+from jaxtyping import Array, Bool, Int, Key
 
 from sg3d_jax.flagg.blocks import draw_schedule, insert_posterior
 from sg3d_jax.flagg.ordering import Ordering, insertion_rank
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
 from sg3d_jax.scene.padding import Block, masked, part_of_adjacency
 
 
@@ -33,8 +33,13 @@ def draw_cut(
     coins: tuple[int, ...],
     ordering: Ordering = "H",
     layers: tuple[str, ...] = (),
+    any_cuts: float = 0.0,
 ) -> Cut:
     """Draws an order, a schedule and a step of a complete graph, and cuts it there.
+
+    What is left at a step lacks the last nodes of the order alone. A share of the cuts removes any
+    nodes instead, so that a model also learns to mend a graph: a room that is missing below a floor
+    that is there, a hole in the middle of a city.
 
     Args:
       graph: padded and complete.
@@ -42,19 +47,28 @@ def draw_cut(
       coins: block sizes; the block capacity `M` is the largest.
       ordering: "H" or "HP".
       layers: the concepts in the order of insertion; empty for bottom-up.
+      any_cuts: the share of the cuts that remove any nodes (`draw_missing`); what comes next is
+        then the first of them in the order.
 
     Returns:
       The cut. Its block indexes old nodes by their slots in `graph`.
 
     Differs: FLAGG unrolls every step of a trajectory into one batch; we draw one step a graph, the
-    same objective in expectation.
+    same objective in expectation. Cuts of any kind are ours.
     """
     key_order, key_schedule, key_step = jax.random.split(key, 3)
     num_nodes = graph.nodes.mask.shape[0]
     rank = insertion_rank(graph, key_order, ordering, layers)
+    if any_cuts:
+        key_any, key_missing = jax.random.split(jax.random.fold_in(key, 1))
+        any_cut = jax.random.uniform(key_any) < any_cuts
+        missing = ~any_cut | draw_missing(graph, key_missing)
+        rank = rank_of_missing(rank, missing, graph)
     num_missing = jnp.sum((rank >= 0) & graph.nodes.mask, dtype=jnp.int32)
     schedule = draw_schedule(key_schedule, num_missing, coins, num_nodes)
     step = jax.random.randint(key_step, (), 0, schedule.num_steps + 1)
+    if any_cuts:
+        step = jnp.where(any_cut, 0, step)
     complete = step == schedule.num_steps
     num_inserted = jnp.where(complete, num_missing, schedule.start[step])
     size = jnp.where(complete, 0, schedule.size[step])
@@ -64,8 +78,40 @@ def draw_cut(
         insert_probs=insert_posterior(num_missing - num_inserted, coins, num_nodes),
         complete=complete,
         has_block=~complete,
-        inserted=step > 0,
+        inserted=jnp.any(grown_nodes(graph) & (rank < num_inserted)),
     )
+
+
+def grown_nodes(graph: SceneGraph) -> Bool[Array, " N"]:
+    """Returns which real nodes are not observed."""
+    return graph.nodes.mask & ~graph.nodes.observed
+
+
+def draw_missing(graph: SceneGraph, key: Key[Array, ""]) -> Bool[Array, " N"]:
+    """Draws which nodes of a complete graph are missing: of each concept a share of its own.
+
+    Half of the time they are those nearest to one node, a hole; else any.
+    """
+    key_share, key_node, key_hole = jax.random.split(key, 3)
+    nodes, grown = graph.nodes, grown_nodes(graph)
+    by_chance = jax.random.uniform(key_node, nodes.mask.shape)
+    centre = nodes.position[jnp.argmax(jnp.where(grown, by_chance, -1.0))]
+    distance = jnp.sum((nodes.position - centre[None]) ** 2, axis=-1)
+    kin = (nodes.label[:, None] == nodes.label[None, :]) & grown[None, :]
+    nearer = jnp.sum(kin & (distance[None, :] < distance[:, None]), axis=-1)
+    by_distance = (nearer + 0.5) / jnp.maximum(jnp.sum(kin, axis=-1), 1)
+    score = jnp.where(jax.random.bernoulli(key_hole), by_distance, by_chance)
+    share = jax.random.uniform(key_share, (ontology_of(graph).num_concepts,))
+    return grown & (score < share[nodes.label])
+
+
+def rank_of_missing(
+    rank: Int[Array, " N"], missing: Bool[Array, " N"], graph: SceneGraph
+) -> Int[Array, " N"]:
+    """Returns the places of the missing nodes among each other; -1 for what is there."""
+    missing = missing & grown_nodes(graph)
+    place = jnp.sum(missing[None, :] & (rank[None, :] < rank[:, None]), axis=-1, dtype=jnp.int32)
+    return jnp.where(missing, place, jnp.where(graph.nodes.mask, -1, rank.shape[0]))
 
 
 def draw_continuations(
@@ -92,16 +138,12 @@ def draw_continuations(
       Blocks as large as the cut's own, with a leading axis `L`, independent given the cut.
     """
     survivors = cut.survivors.nodes.mask
-    num_inserted = jnp.sum(survivors & ~graph.nodes.observed, dtype=jnp.int32)
     size, capacity = jnp.sum(cut.block.mask, dtype=jnp.int32), cut.block.mask.shape[0]
 
     def draw(key: Key[Array, ""]) -> Block:
         fresh = insertion_rank(graph, key, "H", layers)
-        missing = graph.nodes.mask & ~survivors
-        earlier = missing[None, :] & (fresh[None, :] < fresh[:, None])
-        place = num_inserted + jnp.sum(earlier, axis=-1, dtype=jnp.int32)
-        rank = jnp.where(missing, place, jnp.where(survivors, -1, survivors.shape[0]))
-        return extract_block(graph, rank, num_inserted, size, capacity)
+        rank = rank_of_missing(fresh, ~survivors, graph)
+        return extract_block(graph, rank, jnp.zeros((), jnp.int32), size, capacity)
 
     return jax.vmap(draw)(jax.random.split(key, number))
 

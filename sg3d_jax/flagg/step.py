@@ -30,6 +30,7 @@ class FlaggConfig:
     ordering: Ordering = "H"
     layers: tuple[str, ...] = ()  # sigma_C, the order in which concepts come; empty: bottom-up
     continuations: int = 1  # blocks that may come next, trained on one encoded graph
+    any_cuts: float = 0.0  # share of the training cuts that remove any nodes, not only the last
     corruption: CorruptionConfig = CorruptionConfig()
     width: int = 32  # of Insert and Halt
     depth: int = 2  # GINE layers of Insert and Halt
@@ -155,4 +156,4 @@ def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
 
 def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph) -> Cut:
     """Cuts a complete padded graph at a random step of a random insertion sequence."""
-    return draw_cut(graph, key, config.coins, config.ordering, config.layers)
+    return draw_cut(graph, key, config.coins, config.ordering, config.layers, config.any_cuts)

@@ -20,6 +20,7 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from sg3d_jax.nn.apply import stacked
+from sg3d_jax.nn.contact import connect_contacts
 from sg3d_jax.nn.embed import Surface, relative_to_points, sinusoids, surface_of
 from sg3d_jax.nn.gine import GINE
 from sg3d_jax.nn.kin import connect_kin
@@ -65,10 +66,13 @@ class OldGraphEncoder(nn.Module):
     gates: int
     kin: int = 0  # nearest nodes of its own concept that a node hears of
     many_rows: bool = False  # of the blocks to come; see Gates
+    contacts: int = 0  # observed nodes that one hears of because their extents come close
 
     @nn.compact
     def __call__(self, graph: SceneGraph) -> Conditioning:
         """Encodes one padded graph."""
+        if self.contacts:
+            graph = connect_contacts(graph, self.contacts)
         if self.kin:
             graph = connect_kin(graph, self.kin)
         encoding = GINE(self.width, self.layers, name="gine")(graph)

@@ -52,12 +52,21 @@ def connect_kin(graph: SceneGraph, k: int) -> SceneGraph:
     label = nodes.label[slot]
     pairs = real[:, None] & real[None, :] & (label[:, None] == label[None, :])
     nearest, found = k_nearest(nodes.position[slot], pairs, k)
-    mask = found.ravel()
-    receivers = jnp.where(mask, jnp.repeat(slot, nearest.shape[1]), 0).astype(jnp.int32)
-    senders = jnp.where(mask, slot[nearest].ravel(), 0).astype(jnp.int32)
+    receivers = jnp.repeat(slot, nearest.shape[1])
+    return with_heard(graph, slot[nearest].ravel(), receivers, found.ravel())
+
+
+def with_heard(
+    graph: SceneGraph,
+    senders: Int[Array, " K"],
+    receivers: Int[Array, " K"],
+    mask: Bool[Array, " K"],
+) -> SceneGraph:
+    """Appends directed proximity edges, those in the mask real, to a padded graph."""
+    senders, receivers = (jnp.where(mask, e, 0).astype(jnp.int32) for e in (senders, receivers))
     count: Int[Array, ""] = jnp.sum(mask, dtype=jnp.int32)
     return SceneGraph(
-        nodes=nodes,
+        nodes=graph.nodes,
         edges=Edges(
             jnp.concatenate([graph.edges.relation, jnp.full_like(senders, PROXIMITY)]),
             jnp.concatenate([graph.edges.mask, mask]),

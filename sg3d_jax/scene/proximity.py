@@ -40,11 +40,17 @@ def k_nearest(
     position: Float[Array, "N 3"], pairs: Bool[Array, "N N"], k: int
 ) -> tuple[Int[Array, "N K"], Bool[Array, "N K"]]:
     """Returns the nearest others of each node among its pairs, and which of them there are."""
-    num_nodes = position.shape[0]
     offset = position[:, None] - position[None, :]
-    squared = jnp.sum(offset**2, axis=-1)
+    return k_least(jnp.sum(offset**2, axis=-1), pairs, k)
+
+
+def k_least(
+    distance: Float[Array, "N N"], pairs: Bool[Array, "N N"], k: int
+) -> tuple[Int[Array, "N K"], Bool[Array, "N K"]]:
+    """Returns the others at least distance from each node, likewise; of any kind of distance."""
+    num_nodes = distance.shape[0]
     pairs = pairs & ~jnp.eye(num_nodes, dtype=bool)
-    nearness, nearest = jax.lax.top_k(jnp.where(pairs, -squared, -jnp.inf), min(k, num_nodes))
+    nearness, nearest = jax.lax.top_k(jnp.where(pairs, -distance, -jnp.inf), min(k, num_nodes))
     return nearest, jnp.isfinite(nearness)
 
 

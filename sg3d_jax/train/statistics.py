@@ -84,6 +84,7 @@ def statistics_of(
     mean = total / max(number, 1e-12)
     variance = max(squares / max(number, 1e-12) - mean**2, 0.0)
     spread = moments.offsets[1] / max(moments.offsets[0], 1e-12)
+    degree = moments.across[1] / max(moments.offsets[0] / 3, 1e-12)
     return Statistics(
         label=tuple((labels / labels.sum()).tolist()),
         block_edge=tuple(_marginal(moments.inside).tolist()),
@@ -91,6 +92,7 @@ def statistics_of(
         distance_mean=float(mean),
         distance_std=float(np.sqrt(variance) + LEAST_SPREAD),
         position_std=float(np.sqrt(spread) + LEAST_SPREAD),
+        cross_degree=float(degree),
     )
 
 

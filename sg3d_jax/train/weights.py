@@ -136,8 +136,10 @@ def _read(path: Path, name: str) -> Trained:
 
 def _statistics(kind: type[Measured], arrays: dict[str, np.ndarray]) -> Measured:
     """Returns statistics as plain numbers."""
-    values: dict[str, Any] = {}
+    values: dict[str, Any] = dict(getattr(kind, "_field_defaults", {}))  # of what came later
     for field in kind._fields:
+        if field in values and f"statistics/{field}" not in arrays:
+            continue
         value = arrays[f"statistics/{field}"].tolist()
         values[field] = tuple(value) if isinstance(value, list) else value
     return kind(**values)

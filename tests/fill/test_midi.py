@@ -255,3 +255,34 @@ def test_frame__is_undone_by_its_inverse():
     metres = jnp.asarray([[1.0, 2.0, 3.0], [3.0, 2.0, 3.0]])
     np.testing.assert_allclose(frame.to_unit(metres), [[0, 0, 0], [1, 0, 0]])
     np.testing.assert_allclose(frame.to_metres(frame.to_unit(metres)), metres)
+
+
+def test_prior_of_a_scene__is_as_wide_as_its_nodes_and_has_as_many_edges_in_every_one():
+    statistics = STATISTICS._replace(cross_degree=1.6)
+    fill = MiDi(dataclasses.replace(SIZES, scene_scale=True), statistics)
+    graph = observed(two_rooms())
+    frame, marginals = fill.prior(graph)
+    real = np.asarray(graph.nodes.position)[np.asarray(graph.nodes.mask)]
+    spread = np.sqrt(np.mean((real - real.mean(axis=0)) ** 2) + 0.25)
+    np.testing.assert_allclose(frame.centre, real.mean(axis=0), atol=1e-5)
+    np.testing.assert_allclose(frame.scale, spread, rtol=1e-5)
+    np.testing.assert_allclose(marginals.cross_edge, [1 - 1.6 / len(real), 1.6 / len(real)])
+    in_training, marginals = FILL.prior(graph)
+    np.testing.assert_allclose(in_training.scale, STATISTICS.position_std)
+    np.testing.assert_allclose(marginals.cross_edge, STATISTICS.cross_edge)
+
+
+def test_a_scene_of_its_own_scale__is_learnt_and_drawn_in_metres(monkeypatch):
+    """Training and sampling use the same prior; contacts are heard of."""
+    config = dataclasses.replace(SIZES, scene_scale=True, contacts=2)
+    fill = MiDi(config, STATISTICS._replace(cross_degree=1.6))
+    graph, block = observed(two_rooms()), all_at_once()
+    params = random_params(fill.init, graph, block)
+    loss = jax.jit(jax.value_and_grad(lambda *inputs: fill.loss(*inputs)[0]))
+    value, gradient = loss(params, jax.random.key(1), graph, block)
+    chex.assert_tree_all_finite((value, gradient))
+    assert value != FILL.loss(params, jax.random.key(1), graph, block)[0]
+    monkeypatch.setattr(midi, "RelaxedTransformer", Certain)
+    drawn = jax.jit(fill.sample)(params, jax.random.key(6), graph, jnp.ones(1, bool))
+    for found, expected in zip(drawn, wall(), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-5)

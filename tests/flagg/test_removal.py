@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sg3d_jax.flagg.blocks import fewest_coins
-from sg3d_jax.flagg.removal import draw_continuations, draw_cut, extract_block
-from sg3d_jax.scene.graph import undirected_edges
-from sg3d_jax.scene.ontology import PLANE, PROXIMITY
+from sg3d_jax.flagg.removal import draw_continuations, draw_cut, draw_missing, extract_block
+from sg3d_jax.scene.graph import make_graph, undirected_edges
+from sg3d_jax.scene.ontology import PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Capacity, part_of_adjacency
 from tests import own_world
 from tests.two_rooms import NUM_PLANES, on_device, two_rooms, with_garbage
@@ -242,3 +242,77 @@ def test_cuts_and_continuations__are_of_what_grows_in_any_ontology():
             np.testing.assert_array_equal(block.edges[:size, 2:], truth[slots] & old)
             np.testing.assert_array_equal(block.edges[:size, :size], truth[np.ix_(slots, slots)])
     assert len(seen) > 4
+
+
+def test_cuts_of_any_kind__lack_any_nodes_and_ask_for_the_first_of_them():
+    """Every set of the grown nodes occurs; the block comes from the lowest layer that lacks any."""
+    graph = on_device(SCENE)
+    draw = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=1.0)))
+    cuts = jax.tree.map(np.asarray, draw(jax.random.split(jax.random.key(3), 600)))
+    label, grown = SCENE.nodes.label, ~SCENE.nodes.observed
+    seen = set()
+    for cut in each(cuts):
+        here = cut.survivors.nodes.mask[: len(label)]
+        assert here[~grown].all()
+        missing = np.flatnonzero(grown & ~here)
+        seen.add(tuple(missing))
+        assert cut.complete == (len(missing) == 0) == (not cut.has_block)
+        assert cut.inserted == (here & grown).any()
+        if len(missing):
+            node = find(cut.block.position[0])
+            assert node in missing
+            assert label[node] == label[missing].min()
+            np.testing.assert_array_equal(
+                cut.block.edges[0, 1:], TRUTH[node] & cut.survivors.nodes.mask
+            )
+    assert len(seen) == 2 ** grown.sum()
+
+
+def test_cuts_of_any_kind__are_the_share_of_them_that_is_asked_for():
+    """The others lack the last nodes of the order alone: nothing stands on what is missing."""
+    graph = on_device(SCENE)
+    draw = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=0.3)))
+    here = np.asarray(draw(jax.random.split(jax.random.key(4), 2000)).survivors.nodes.mask)
+    here, label = here[:, : len(SCENE.nodes.label)], SCENE.nodes.label
+    highest = np.where(here, label, -1).max(axis=1)
+    lowest = np.where(here, 99, label).min(axis=1)
+    out_of_order = np.mean(highest > lowest)  # a wall or a room is missing below a higher node
+    always = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=1.0)))
+    here = np.asarray(always(jax.random.split(jax.random.key(5), 2000)).survivors.nodes.mask)
+    here = here[:, : len(label)]
+    share = np.mean(np.where(here, label, -1).max(axis=1) > np.where(here, 99, label).min(axis=1))
+    assert abs(out_of_order - 0.3 * share) < 0.03
+
+
+def test_a_hole__is_around_one_node():
+    """Half of the draws of the missing rooms are those nearest to a node of the scene."""
+    label = np.array([PLANE] * 2 + [ROOM] * 9)
+    position = np.zeros((11, 3))
+    position[2:, 0] = np.arange(9.0) ** 1.3  # no two are equally far from a third
+    graph = on_device(make_graph(label, position))
+    draw = jax.jit(jax.vmap(lambda key: draw_missing(graph, key)))
+    missing = np.asarray(draw(jax.random.split(jax.random.key(0), 4000)))[:, 2:11]
+    run = np.array([len(np.flatnonzero(np.diff(np.flatnonzero(row)) > 1)) == 0 for row in missing])
+    four = missing.sum(axis=1) == 4
+    assert 0.45 < run[four].mean() < 0.65  # of the others, 6 of 126 are a run
+
+
+def test_continuations__of_any_cut_come_next_and_know_all_that_is_there():
+    graph = on_device(SCENE)
+
+    def draw(key):
+        key_cut, key_blocks = jax.random.split(key)
+        cut = draw_cut(graph, key_cut, (1,), any_cuts=1.0)
+        return cut, draw_continuations(graph, cut, key_blocks, 6)
+
+    cuts, blocks = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(6), 100))
+    label, grown = SCENE.nodes.label, ~SCENE.nodes.observed
+    for index, cut in enumerate(each(cuts)):
+        here = np.asarray(cut.survivors.nodes.mask)
+        missing = np.flatnonzero(grown & ~here[: len(label)])
+        for block in each_block(jax.tree.map(lambda leaf, i=index: leaf[i], blocks)):
+            assert block.mask.any() == bool(len(missing))
+            if len(missing):
+                node = find(block.position[0])
+                assert label[node] == label[missing].min()
+                np.testing.assert_array_equal(block.edges[0, 1:], TRUTH[node] & here)

@@ -59,6 +59,7 @@ def test_statistics__are_those_of_a_loop_over_pairs(counted):
     np.testing.assert_allclose(found.distance_std, np.std(length) + 1e-3, rtol=1e-4)
     spread = np.sqrt(np.mean(np.square(offset)))
     np.testing.assert_allclose(found.position_std, spread + 1e-3, rtol=1e-4)
+    np.testing.assert_allclose(found.cross_degree, np.sum(across) / len(offset), rtol=1e-5)
     assert 0 < np.mean(inside) < 1
     for marginal in found[:3]:
         np.testing.assert_allclose(np.sum(marginal), 1, rtol=1e-6)

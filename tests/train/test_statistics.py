@@ -118,4 +118,5 @@ def count_with_numpy(graphs, key):
         np.mean(length),
         np.std(length) + 1e-3,
         (np.sqrt(np.mean(np.square(offset))) + 1e-3),
+        np.sum(across) / len(offset),
     )
