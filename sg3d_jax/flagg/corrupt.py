@@ -24,6 +24,7 @@ class CorruptionConfig:
     p_drop: float = 0.01  # chance that an edge with a grown end is removed
     p_add: float = 0.0005  # chance that a missing such edge is inserted; pairs outnumber edges 20:1
     sigma_position: float = 0.05  # metres
+    added_per_node: float = 0.0  # mean number of inserted edges, a node, beside those of p_add
 
 
 def corrupt(graph: SceneGraph, key: Key[Array, ""], config: CorruptionConfig) -> SceneGraph:
@@ -35,7 +36,7 @@ def corrupt(graph: SceneGraph, key: Key[Array, ""], config: CorruptionConfig) ->
       config: its strength.
 
     Returns:
-      A graph with `2 added_slots(N, p_add)` more edges of capacity, so that insertions always have
+      A graph with `2 added_slots(N, config)` more edges of capacity, so that insertions always have
       room. Observed nodes and edges between them are untouched.
 
     Source: paper, Sec. "Noise augmentation".
@@ -55,14 +56,14 @@ def corrupt(graph: SceneGraph, key: Key[Array, ""], config: CorruptionConfig) ->
     return _with_edges(graph._replace(nodes=perturbed), kept, *added)
 
 
-def added_slots(num_nodes: int, p_add: float) -> int:
+def added_slots(num_nodes: int, config: CorruptionConfig) -> int:
     """Returns how many inserted edges there is room for in a graph of N slots.
 
     Six standard deviations above the mean number of insertions were all pairs missing: not one
     graph in ten million would need more.
     """
-    mean = p_add * num_nodes * (num_nodes - 1) / 2
-    return math.ceil(mean + 6 * math.sqrt(mean) + 4) if p_add else 0
+    mean = config.p_add * num_nodes * (num_nodes - 1) / 2 + config.added_per_node * num_nodes
+    return math.ceil(mean + 6 * math.sqrt(mean) + 4) if mean else 0
 
 
 def _other_labels(
@@ -93,10 +94,10 @@ def _missing_pairs(
     candidates &= ~part_of_adjacency(graph)
     score = jnp.where(candidates, jax.random.uniform(key, candidates.shape), 1.0)
     num_nodes = mask.shape[0]
-    least, pair = jax.lax.top_k(
-        -score.ravel(), min(added_slots(num_nodes, config.p_add), score.size)
-    )
-    return pair // num_nodes, pair % num_nodes, -least < config.p_add
+    pairs_per_node = jnp.sum(candidates) / jnp.sum(mask)
+    chance = config.p_add + config.added_per_node / jnp.maximum(pairs_per_node, 1e-3)
+    least, pair = jax.lax.top_k(-score.ravel(), min(added_slots(num_nodes, config), score.size))
+    return pair // num_nodes, pair % num_nodes, -least < chance
 
 
 def _with_edges(

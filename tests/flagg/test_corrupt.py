@@ -83,7 +83,7 @@ def test_edges__are_added_with_their_chance_to_every_pair_with_a_high_level_end(
 def test_edges__stay_symmetric_and_are_counted(corrupted, adjacency):
     np.testing.assert_array_equal(adjacency, np.swapaxes(adjacency, 1, 2))
     mask = corrupted.edges.mask
-    assert mask.shape[1] == CAPACITY.edges + 2 * added_slots(CAPACITY.nodes, STRONG.p_add)
+    assert mask.shape[1] == CAPACITY.edges + 2 * added_slots(CAPACITY.nodes, STRONG)
     np.testing.assert_array_equal(corrupted.n_edge[:, 0], mask.sum(axis=1))
     np.testing.assert_array_equal(corrupted.n_edge.sum(axis=1), np.full(DRAWS, mask.shape[1]))
     twice = mask & (corrupted.edges.relation == PART_OF)
@@ -103,8 +103,8 @@ def test_every_missing_edge__is_added_if_it_is_certain():
 @pytest.mark.parametrize("num_nodes", [16, 48, 489, 2048])
 def test_room_for_added_edges__lacks_in_less_than_one_graph_in_ten_million(num_nodes, p_add):
     num_pairs = num_nodes * (num_nodes - 1) // 2
-    assert binom.sf(added_slots(num_nodes, p_add), num_pairs, p_add) < 1e-7
-    assert added_slots(num_nodes, 0.0) == 0
+    assert binom.sf(added_slots(num_nodes, CorruptionConfig(p_add=p_add)), num_pairs, p_add) < 1e-7
+    assert added_slots(num_nodes, CorruptionConfig(p_add=0.0)) == 0
 
 
 def test_edges_of_a_large_graph__are_added_all_over_it():
@@ -115,7 +115,7 @@ def test_edges_of_a_large_graph__are_added_all_over_it():
     graph = on_device(make_graph(label, np.zeros((num_nodes, 3))), Capacity(num_nodes, 4))
     keys = jax.random.split(jax.random.key(3), draws)
     found = jax.jit(jax.vmap(lambda key: corrupt(graph, key, config)))(keys)
-    mask, slots = np.asarray(found.edges.mask), added_slots(num_nodes, config.p_add)
+    mask, slots = np.asarray(found.edges.mask), added_slots(num_nodes, config)
     assert mask.shape[1] == 4 + 2 * slots
     missing = np.argwhere(np.triu(label[:, None] + label[None, :] > PLANE, 1))
     due = config.p_add * len(missing)
@@ -158,3 +158,12 @@ def test_nothing__changes_nothing(spoil):
         )
     assert not found.edges.mask[CAPACITY.edges :].any()
     assert jnp.array_equal(found.n_node, graph.n_node)
+
+
+def test_edges__may_be_added_by_the_node_so_that_large_graphs_are_not_drowned():
+    config = CorruptionConfig(0.0, 0.0, 0.0, added_per_node=0.15)
+    draw = jax.jit(jax.vmap(lambda key: corrupt(on_device(SCENE), key, config)))
+    found = draw(jax.random.split(jax.random.key(1), DRAWS))
+    added = (np.asarray(found.n_edge)[:, 0] - on_device(SCENE).n_edge[0]) / 2
+    np.testing.assert_allclose(added.mean(), 0.15 * 12, rtol=0.05)
+    assert found.edges.mask.shape[1] == CAPACITY.edges + 2 * added_slots(CAPACITY.nodes, config)
