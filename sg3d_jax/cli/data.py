@@ -27,10 +27,10 @@ app: Final = tyro.extras.SubcommandApp()
 def make(
     name: Positional[str], output: Output, num_graphs: int | None = None, seed: int = 0
 ) -> None:
-    """Generate a data set.
+    """Generate a data set, or what a robot sees of one.
 
     Args:
-      name: which one, such as s-f.
+      name: which one, such as s-f; s-f@robot, or runs/p-f.npz@robot, as a robot sees it.
       output: the npz file to write.
       num_graphs: how many; as many as the paper has by default.
       seed: another seed gives other graphs.
@@ -41,9 +41,11 @@ def make(
     check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
     check_at_least("--seed", seed, 0)
     check_output(output, (".npz",))
-    graphs = registry.make(name, num_graphs, seed)
-    npz.save(output, graphs, registry.header(name, seed))
-    print(f"{output}: {counted(len(graphs))}")
+    if not registry.is_name(name):
+        raise ValueError(f"{name} is a file, expected the name of a data set such as s-f")
+    dataset = registry.load(name, num_graphs, seed)
+    npz.save(output, *dataset)
+    print(f"{output}: {counted(len(dataset.graphs))}")
 
 
 @app.command(name="import")
@@ -150,9 +152,10 @@ def sheet(source: Positional[str], output: Output, num_graphs: int = 24, first: 
 
 def _print_data_sets() -> None:
     """Shows every data set that has a name."""
-    from sg3d_jax.data.registry import DATASETS
+    from sg3d_jax.data.registry import DATASETS, VIEWS
 
-    table = Table(title="Data sets")
+    views = f"NAME@VIEW or FILE@VIEW: what a robot sees of it; views: {', '.join(VIEWS)}"
+    table = Table(title="Data sets", caption=views)
     for column in (
         "name",
         "graphs",

@@ -1,8 +1,12 @@
 """Floors from room polygons: planes, walls and rooms as a robot would know them.
 
-Every straight side of a room is one plane, its normal into the room. A wall is the strip between
-planes of different rooms that stand back to back: a wall may have many planes (a corridor against
-three offices), and a plane several walls, where the strip behind it changes its thickness.
+Every straight side of a room is one plane, its normal into the room. Walls are read by one rule,
+here and in the sets that are drawn as wide as the world: two planes face each other if they are of
+different rooms and stand back to back, with a gap of up to 0.6 m, over a length of 0.1 m or more,
+and no other room is in the gap. A wall is all planes that such pairs join, directly or in a chain.
+So a corridor against three offices is one wall of four planes, also where the strip between them
+changes its thickness, as at a lining or a shaft; a plane belongs to one wall at most, as in
+S-Graphs; and a line has two walls where nothing faces across, as where another wall crosses it.
 
 A file holds one floor a line (JSON Lines, .jsonl or .jsonl.gz): `{"building": "office/poli",
 "storey": 0, "rooms": [{"poly": [[x, y], ...]}, ...]}`, metres; other keys are ignored.
@@ -23,8 +27,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.data.buildings import Storey
 from sg3d_jax.data.levels import Floor, Floors
@@ -48,7 +50,6 @@ class FloorplanConfig:
       max_thickness: greatest distance of planes that stand back to back, metres.
       max_angle: greatest angle between them, degrees; hand-drawn plans are a little askew.
       min_overlap: least length along the wall over which they face each other, metres.
-      strip_tolerance: walls behind one plane whose thickness differs by less are one, metres.
       inset: by so much a room shrinks that touches another one, metres: half the thickness of a
         wall that was drawn as a line.
       flatness: a corner that stands out by less is no corner, metres.
@@ -57,10 +58,9 @@ class FloorplanConfig:
       ValueError: one of them is negative.
     """
 
-    max_thickness: float = 0.4
+    max_thickness: float = 0.6
     max_angle: float = 10.0
     min_overlap: float = 0.1
-    strip_tolerance: float = 0.05
     inset: float = 0.06
     flatness: float = 0.01
 
@@ -297,7 +297,8 @@ def find_walls(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Finds the walls between rooms.
 
-    Pairs that have a plane in common and the same strip behind it belong to one wall.
+    A wall is a set of planes that facing pairs join, directly or in a chain; so a plane belongs to
+    one wall at most, however the strip behind it changes its thickness.
 
     Args:
       sides: planes.
@@ -309,21 +310,29 @@ def find_walls(
       centroid of their strips.
     """
     facing = _without_rooms_between(facing_pairs(sides, config), shapes)
-    num_pairs = len(facing.planes)
-    pair = np.repeat(np.arange(num_pairs), 2)
-    plane, thickness = facing.planes.ravel(), facing.thickness[pair]
-    order = np.lexsort((thickness, plane))
-    same_plane = plane[order][1:] == plane[order][:-1]
-    same_strip = same_plane & (np.diff(thickness[order]) <= config.strip_tolerance)
-    link = pair[order][:-1][same_strip], pair[order][1:][same_strip]
-    links = coo_array((np.ones(same_strip.sum()), link), shape=(num_pairs, num_pairs))
-    num_walls, wall = connected_components(links, directed=False)
+    first = _first_of_chain(facing.planes, len(sides.room))
+    planes = np.flatnonzero(np.bincount(facing.planes.ravel(), minlength=len(first)))
+    number = np.cumsum(first[planes] == planes) - 1  # of the wall that starts here, or before
+    wall = np.zeros(len(first), int)
+    wall[planes] = number[np.searchsorted(planes, first[planes])]
+    of_pair, num_walls = wall[facing.planes[:, 0]], number[-1] + 1 if len(number) else 0
     length = np.linalg.norm(facing.middle[:, 1] - facing.middle[:, 0], axis=1)
     weighted = length * facing.middle.mean(axis=1).T
-    total = np.bincount(wall, length, num_walls)
-    centre = [np.bincount(wall, part, num_walls) / total for part in weighted]
-    members = np.unique(np.column_stack([plane, wall[pair]]), axis=0)
-    return members, np.column_stack(centre)
+    total = np.bincount(of_pair, length, num_walls)
+    centre = [np.bincount(of_pair, part, num_walls) / total for part in weighted]
+    return np.column_stack([planes, wall[planes]]), np.column_stack(centre)
+
+
+def _first_of_chain(pairs: np.ndarray, num_planes: int) -> np.ndarray:
+    """Returns the first of the planes that each is joined to by a chain of pairs, int[p]."""
+    one, other = pairs.T
+    first = np.arange(num_planes)
+    while (first[one] != first[other]).any():
+        least = np.minimum(first[one], first[other])
+        np.minimum.at(first, one, least)
+        np.minimum.at(first, other, least)
+        first = first[first]
+    return first
 
 
 def facing_pairs(sides: Sides, config: FloorplanConfig) -> Facing:
@@ -333,14 +342,15 @@ def facing_pairs(sides: Sides, config: FloorplanConfig) -> Facing:
     strip between them is no thicker than a wall. Thickness is taken in the middle of the strip,
     because the planes of a hand-drawn wall are not parallel.
     """
-    ends, normal, room = sides
-    opposite = normal @ normal.T <= -np.cos(np.radians(config.max_angle))
-    planes = np.argwhere(np.triu(opposite & (room[:, None] != room)))
+    ends, normal, _ = sides
+    planes = _near_pairs(sides, config)
     across = _unit(normal[planes[:, 0]] - normal[planes[:, 1]])  # from the second to the first
     along = -_left(across)
     reach = np.einsum("fped,fd->fpe", ends[planes], along)
     offset = np.einsum("fped,fd->fpe", ends[planes], across)
-    low, high = reach.min(axis=2).max(axis=1), reach.max(axis=2).min(axis=1)
+    start = np.minimum(reach[..., 0], reach[..., 1])
+    end = np.maximum(reach[..., 0], reach[..., 1])
+    low, high = np.maximum(start[:, 0], start[:, 1]), np.minimum(end[:, 0], end[:, 1])
     middle = (low + high) / 2
     slope = (offset[..., 1] - offset[..., 0]) / (reach[..., 1] - reach[..., 0])
     at_middle = offset[..., 0] + slope * (middle[:, None] - reach[..., 0])
@@ -350,6 +360,24 @@ def facing_pairs(sides: Sides, config: FloorplanConfig) -> Facing:
     line = np.stack([low, high], axis=1)[..., None] * along[:, None]
     line += (at_middle.mean(axis=1)[:, None] * across)[:, None]
     return Facing(planes[found], thickness[found], line[found])
+
+
+def _near_pairs(sides: Sides, config: FloorplanConfig) -> np.ndarray:
+    """Returns the pairs of opposite planes of different rooms that are not too far apart to face.
+
+    Across a strip it is from the middle of one plane to that of the other no farther than half of
+    each and the thickness of the strip.
+    """
+    ends, normal, room = sides
+    middle = ends.mean(axis=1) - ends.mean(axis=(0, 1))
+    half = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / 2
+    length = np.sum(middle**2, axis=1)
+    reach = half[:, None] + half + config.max_thickness
+    near = length[:, None] + length - 2 * (middle @ middle.T) <= reach**2
+    near &= normal @ normal.T <= -np.cos(np.radians(config.max_angle))
+    one, other = np.nonzero(near)
+    kept = (one < other) & (room[one] != room[other])
+    return np.column_stack([one[kept], other[kept]])
 
 
 def _without_rooms_between(facing: Facing, shapes: np.ndarray) -> Facing:

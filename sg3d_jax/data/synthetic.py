@@ -10,7 +10,7 @@ Differs: see `synthetic_floor` and `buildings`. S-B, a building alone, and `LARG
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Final
 
@@ -27,6 +27,7 @@ from sg3d_jax.data.synthetic_floor import (
     storey_of,
     without_removed,
 )
+from sg3d_jax.data.wide import WideConfig
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR
 from sg3d_jax.scene.proximity import NEIGHBOURS
@@ -89,14 +90,18 @@ S_F: Final = SyntheticConfig(merge_ratio=0.7)
 S_C: Final = CityConfig()
 S_B: Final = CityConfig(extra_buildings=(0, 0), top=BUILDING)
 # About 330 nodes, three times those of S-C.
+# As S_F, true widths, and planes of one wall 0.05 to 0.45 m apart instead of 0.08 to 0.10 m.
+S_F_THICK: Final = replace(S_F, wall_thickness=(0.1, 0.9), stale_width=False)
 LARGE: Final = CityConfig(storeys=(2, 5), extra_buildings=(1, 3), extra_storeys=(2, 5), radius=40.0)
 
 
-def make_scene(config: SyntheticConfig | CityConfig, seed: int, index: int) -> SceneGraph:
+def make_scene(
+    config: SyntheticConfig | CityConfig | WideConfig, seed: int, index: int
+) -> SceneGraph:
     """Draws one scene as a host graph; the same (config, seed, index) gives the same graph.
 
     Args:
-      config: what to draw, e.g. `S_F` or `S_C`.
+      config: what to draw, e.g. `S_F`, `S_C` or `wide.G_F`.
       seed: names the data set.
       index: names the graph in it.
 
@@ -104,9 +109,13 @@ def make_scene(config: SyntheticConfig | CityConfig, seed: int, index: int) -> S
       Planes, walls, rooms, floors, buildings and city, in this order, float64. A floor ends at its
       floor node, lies at z = 0 and has part-of edges only; buildings and cities have the
       proximity edges of the published S-C too: the 10 nearest planes of each plane before rooms
-      merge, and pairs that share a room or a wall.
+      merge, and pairs that share a room or a wall. Wide scenes have part-of edges only.
     """
     rng = np.random.default_rng([seed, index])
+    if isinstance(config, WideConfig):
+        from sg3d_jax.data.wide_scene import draw_scene  # brings shapely
+
+        return draw_scene(config, rng)
     if isinstance(config, SyntheticConfig):
         return _draw_floor(config, rng)
     return _draw_city(config, rng)

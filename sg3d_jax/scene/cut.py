@@ -10,6 +10,13 @@ of neither room and is left out, so that pieces are as wide as the rooms are; a 
 face alone was seen has no such strip. The other may end a little before the plane, as what was
 occluded does; not so if it ends at something else: a corner, or what stands in between.
 
+Published cities have storeys that were shrunk to fit the one below while their planes kept their
+widths: these poke through the corners of their rooms into others, but do not run along them. Since
+middles are where they should be, a plane goes as far beyond its room at either end, and the sides
+that it crosses there go beyond by the same share of their widths; lines of wall do not. Where that
+is so to the centimetre, widths are no evidence: what hangs together with it by planes that cross is
+not cut, nor does it cut anything.
+
 Source: the reasoning node of S-Graphs splits planes that serve several rooms before it infers, and
 maps the result back.
 Differs: the rules are ours. That the planes which face a plane end, or step back, is no reason for
@@ -51,6 +58,8 @@ class CutRules:
       least: width of a piece at least, metres.
       heading: how sure the heading of the other is, radians. Times half its width, it must meet the
         plane by so much farther from its ends.
+      even: how well the overhangs of planes agree that were shrunk but kept their widths, metres.
+        What a robot measures does not agree so well.
     """
 
     lost: float = 0.67
@@ -64,6 +73,7 @@ class CutRules:
     thickness: float = 1.0
     least: float = 0.25
     heading: float = 0.03
+    even: float = 0.01
 
 
 CUTS: Final = CutRules()
@@ -98,6 +108,10 @@ class _Views(NamedTuple):
     along: np.ndarray  # how far along it
     cosine: np.ndarray  # of the angle between them
     slope: np.ndarray  # how fast one gets away from the first going along the second
+
+    def at(self, pairs: tuple[np.ndarray, ...]) -> np.ndarray:
+        """float[m], where the lines of m pairs cross, metres from the middle along the first."""
+        return self.along[pairs] - self.front[pairs] * self.cosine[pairs] / self.slope[pairs]
 
 
 class _Meetings(NamedTuple):
@@ -228,16 +242,16 @@ def _cuts(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Cuts:
 def _meetings(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Meetings:
     """Returns where planes that are free to be cut are met at their front."""
     views = _views(planes)
-    reach = planes.half * np.abs(views.slope)
-    near = views.front - reach
     crosses = np.abs(views.cosine) < rules.parallel
     level = np.abs(planes.height[:, None] - planes.height) <= rules.storey
+    sound = ~_overhanging(planes, views, crosses & level, rules)
+    reach = planes.half * np.abs(views.slope)
+    near = views.front - reach
     width = 2 * planes.half
     comes = near <= np.maximum(np.minimum(rules.gap, rules.lost * width), rules.share * width)
     reaches = views.front + reach - np.maximum(near, 0) >= rules.depth
-    pairs = np.nonzero(free[:, None] & crosses & level & comes & reaches)
-    at = views.along[pairs] - views.front[pairs] * views.cosine[pairs] / views.slope[pairs]
-    plane, other = pairs
+    pairs = np.nonzero((free & sound)[:, None] & sound & crosses & level & comes & reaches)
+    at, (plane, other) = views.at(pairs), pairs
     room = planes.half[plane] - rules.least - rules.heading * planes.half[other]
     within = np.abs(at) <= room
     met = _Meetings(plane[within], other[within], at[within], near[pairs][within])
@@ -258,6 +272,37 @@ def _views(planes: _Planes) -> _Views:
         cosine=planes.normal @ planes.normal.T,
         slope=planes.normal @ planes.along.T,
     )
+
+
+def _overhanging(
+    planes: _Planes, views: _Views, crosses: np.ndarray, rules: CutRules
+) -> np.ndarray:
+    """Returns which planes are of storeys that were shrunk but kept their widths, bool[n].
+
+    Args:
+      planes: n of them.
+      views: of the planes.
+      crosses: bool[n, n], which are of one storey and not parallel.
+      rules: how well overhangs agree.
+    """
+    plane, other = pairs = np.nonzero(crosses)
+    at, half, half_other = views.at(pairs), planes.half[plane], planes.half[other]
+    beyond, beyond_other = half - np.abs(at), half_other - np.abs(views.at(pairs[::-1]))
+    # One that ends at another is as wide as it seems: a line of wall of a regular building.
+    ends = (np.abs(beyond) <= rules.even) & (beyond_other >= -rules.even)
+    has_end = np.isin(np.arange(len(planes.half)), plane[ends])
+    through = np.minimum(beyond, beyond_other) > rules.even
+    inward = at * views.slope[pairs] > 0
+    is_even = np.abs(beyond * half_other - beyond_other * half) <= rules.even * half
+    corner = np.flatnonzero(through & inward & is_even & ~has_end[plane])
+    corner = corner[np.lexsort((np.abs(at[corner]), plane[corner]))]
+    one, next_one = corner[:-1], corner[1:]
+    both = (plane[one] == plane[next_one]) & (np.abs(at[one] + at[next_one]) <= rules.even)
+    found = np.isin(np.arange(len(planes.half)), plane[one[both]])
+    plane, other = plane[through], other[through]
+    while not found[reached := other[found[plane]]].all():
+        found[reached] = True
+    return found
 
 
 def _screened(planes: _Planes, views: _Views, met: _Meetings, rules: CutRules) -> np.ndarray:

@@ -156,16 +156,30 @@ def test_a_corridor_and_three_offices_have_one_wall_of_four_planes():
     np.testing.assert_allclose(centre, [4.7, 2.1])
 
 
-def test_a_plane_before_strips_of_two_thicknesses_has_two_walls():
-    rooms = [box(0, 0, 8, 3), box(0, 3.1, 3.9, 6), box(4.1, 3.3, 8, 6)]
+def test_strips_of_another_thickness_along_one_plane_are_one_wall():
+    rooms = [box(0, 0, 8, 3), box(0, 3.1, 3.9, 6), box(4.1, 3.5, 8, 6)]
     storey = storey_of_rooms(rooms)
-    _, num_walls = np.unique(storey.wall[:, 0], return_counts=True)
-    assert len(storey.wall_centre) == 3
-    assert sorted(num_walls) == [1, 1, 1, 1, 2]
+    assert sorted(map(len, walls_of(storey))) == [2, 3]
+    great = next(i for i, planes in enumerate(walls_of(storey)) if len(planes) == 3)
+    np.testing.assert_allclose(storey.wall_centre[great], [4, (3.05 + 3.25) / 2])
+
+
+def test_a_chain_of_facing_planes_is_one_wall_and_a_wall_that_crosses_ends_it():
+    below = [box(x, 0, x + 3, 3) for x in (0, 3.2, 6.4)]
+    above = [box(-1.6, 3.2, 1.4, 6), box(1.6, 3.2, 4.6, 6), box(6.4, 3.2, 9.4, 6)]
+    walls = walls_of(storey_of_rooms(below + above))
+    lengths = [len(planes) for planes in walls]
+    # Along y = 3.1 four planes are chained; the two on the right face each other alone.
+    assert sorted(lengths) == [2, 2, 2, 2, 4]
+
+
+def test_a_gap_of_half_a_metre_is_a_wall():
+    storey = storey_of_rooms([box(0, 0, 4, 3), box(4.55, 0, 8, 3)])
+    np.testing.assert_allclose(storey.wall_centre, [[4.275, 1.5]])
 
 
 NO_WALL = {
-    "too far": [box(0, 0, 4, 3), box(4.5, 0, 8, 3)],
+    "too far": [box(0, 0, 4, 3), box(4.65, 0, 8, 3)],
     "too short an overlap": [box(0, 0, 4, 3), box(4.2, 2.95, 8, 6)],
     "corner to corner": [box(0, 0, 4, 3), box(4.2, 3.2, 8, 6)],
     "askew": [box(0, 0, 4, 3), np.array([[4.1, 0], [8, 0], [8, 3], [4.9, 3]])],
@@ -240,6 +254,7 @@ def assert_walls_are_where_rays_meet(rooms):
     seen = np.maximum(met, met.T) > CONFIG.min_overlap - 3 * STEP
     assert np.mean(seen[tuple(facing.T)]) > 0.99  # all but those with a niche between them
     assert (np.bincount(storey.wall[:, 1]) >= 2).all()
+    assert len(np.unique(storey.wall[:, 0])) == len(storey.wall)  # a plane is of one wall
     return int(must.sum())
 
 

@@ -120,6 +120,87 @@ def test_graphs_that_break_the_hierarchy_are_no_data_set(tmp_path):
         registry.load(tmp_path / "broken.jsonl")
 
 
+# --- what a robot sees of a set ---
+
+
+@pytest.mark.parametrize("name", ["s-f@robot", "s-c@mild", "s-f-square@merged"])
+def test_a_view_of_a_set_is_a_set_of_its_own(name):
+    base = name.split("@")[0]
+    graphs, header = registry.load(name, 3, seed=2)
+    for one, other in zip(graphs, registry.make(name, 3, seed=2), strict=True):
+        np.testing.assert_array_equal(one.nodes.position, other.nodes.position)
+    for graph in graphs:
+        validate_graph(graph, name)
+    assert registry.is_name(name)
+    assert header == registry.header(name, seed=2)
+    assert json.loads(json.dumps(header))["view"]
+    assert (header["name"], header["seed"]) == (name, 2)
+    spec, of_base = registry.get(name), registry.get(base)
+    assert spec.title == f"{of_base.title}@{name.split('@')[1]}"
+    assert (spec.top, spec.num_graphs, spec.paper) == (of_base.top, of_base.num_graphs, None)
+
+
+def test_graph_i_of_a_view_is_of_graph_i_with_true_widths():
+    bases, seen = registry.make("s-f", 30), registry.make("s-f@clean", 30)
+    stale = 0
+    for base, graph in zip(bases, seen, strict=True):
+        np.testing.assert_array_equal(graph.nodes.position, base.nodes.position)
+        stale += (graph.nodes.width != base.nodes.width).sum()
+    assert stale > 10
+
+
+def test_a_view_of_a_file_keeps_its_parts_and_origins(tmp_path):
+    parts = ["test", "train", "validation"]
+    graphs = registry.make("s-f", 3)
+    npz.save(tmp_path / "p-f.npz", graphs, {"name": "p-f", "parts": parts, "origins": [*"abc"]})
+    name = f"{tmp_path / 'p-f.npz'}@strong"
+    seen, header = registry.load(name, num_graphs=2)
+    assert (header["parts"], header["origins"]) == (parts[:2], ["a", "b"])
+    assert header["name"] == "p-f@strong"
+    assert registry.is_name(name)
+    for graph, base in zip(seen, graphs, strict=False):
+        assert not np.array_equal(graph.nodes.width, base.nodes.width)
+    npz.save(tmp_path / "seen.npz", seen, header)
+    assert registry.load(tmp_path / "seen.npz").header["view"]["missing"] == 0.1
+
+
+def test_a_view_that_is_not_there_is_refused_with_those_there_are():
+    with pytest.raises(ValueError, match=r"s-f has no view 'robt', expected one of robot, mild"):
+        registry.load("s-f@robt")
+    with pytest.raises(ValueError, match=r"unknown data set 's-g', expected one of"):
+        registry.load("s-g@robot")
+    with pytest.raises(ValueError, match=r"sg3d data import p-f FILE -o p-f\.npz"):
+        registry.load("p-f@robot")
+    with pytest.raises(ValueError, match=r"nowhere\.npz: no such file"):
+        registry.load("nowhere.npz@robot")
+
+
+def test_a_file_whose_name_has_an_at_is_a_file(tmp_path):
+    graphs = registry.make("s-f", 2)
+    for name in ("me@home.npz", "me@robot"):
+        npz.save(tmp_path / "a.npz", graphs, {})
+        (tmp_path / "a.npz").rename(tmp_path / name)
+        assert not registry.is_name(str(tmp_path / name))
+    np.testing.assert_array_equal(
+        registry.load(tmp_path / "me@home.npz").graphs[1].nodes.width, graphs[1].nodes.width
+    )
+
+
+def test_the_command_line_makes_and_draws_what_a_robot_sees(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    cli.main(["data", "make", "s-f", "-o", "a.npz", "--num-graphs", "3"])
+    for name, output in (("s-f@robot", "b.npz"), ("a.npz@merged", "c.npz")):
+        cli.main(["data", "make", name, "-o", output, "--num-graphs", "2"])
+        cli.main(["data", "sheet", name, "-o", "sheet.png", "--num-graphs", "2"])
+        assert f"sheet.png: 2 graphs of {name}" in capsys.readouterr().out
+        made, expected = registry.load(output).graphs, registry.make(name, 2)
+        for one, other in zip(made, expected, strict=True):
+            np.testing.assert_array_equal(one.nodes.position, other.nodes.position)
+    with pytest.raises(SystemExit):
+        cli.main(["data", "make", "a.npz", "-o", "d.npz"])
+    assert "a.npz is a file, expected the name of a data set" in capsys.readouterr().err
+
+
 # --- data sets of the user's own ---
 
 

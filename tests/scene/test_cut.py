@@ -7,7 +7,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.data.synthetic import S_F, make_scene
+from sg3d_jax.data.synthetic import S_C, S_F, make_scene
 from sg3d_jax.io.json import graph_from_dict
 from sg3d_jax.scene.cut import CUTS, cut_observed, joined, of_pieces
 from sg3d_jax.scene.graph import (
@@ -47,6 +47,33 @@ def face(x, looks, near=0.0, far=4.0, z=1.2):
 def wall(x, thickness=0.2, **extent):
     """Both faces of a wall across, its middle at x."""
     return [face(x - thickness / 2, -1, **extent), face(x + thickness / 2, 1, **extent)]
+
+
+def room(overhang=0.0, side=4.0):
+    """A square room from 0 to `side` metres whose planes go beyond its corners at both ends."""
+    half, width = side / 2, side + 2 * overhang
+    sides = [(half, 0, 90), (side, half, 180), (half, side, 270), (0, half, 0)]
+    return [(*each, width) for each in sides]
+
+
+def grid(*ends):
+    """Rooms side by side and one behind the other; what lies on one line is one plane.
+
+    Args:
+      *ends: (from, to) of the rooms, metres, along x and along y alike.
+    """
+    low, high = ends[0][0], ends[-1][1]
+    lines = [(at, angle) for pair in ends for at, angle in zip(pair, (90, 270), strict=True)]
+    along_x = [((low + high) / 2, at, angle, high - low) for at, angle in lines]
+    return planes(*along_x, *((y, x, 90 - angle, width) for x, y, angle, width in along_x))
+
+
+def shrunk(graph, share):
+    """Shrinks a storey about its middle, but not its widths, as in the published cities."""
+    position = graph.nodes.position.copy()
+    middle = (position[:, :2].min(axis=0) + position[:, :2].max(axis=0)) / 2
+    position[:, :2] = middle + share * (position[:, :2] - middle)
+    return graph._replace(nodes=graph.nodes._replace(position=position))
 
 
 def stretches(graph, pieces, row=0):
@@ -190,6 +217,90 @@ def test_planes_that_a_robot_takes_for_one_are_cut_into_the_rooms_they_bound():
             assert len(middle) <= len(rooms)
     assert wanted > 700
     assert found / wanted > 0.995
+
+
+@pytest.mark.parametrize("share", [0.95, 0.8, 0.55])
+def test_a_storey_that_was_shrunk_but_kept_its_widths_is_left_whole(share):
+    num_planes = num_pieces = 0
+    for index in range(20):
+        given = shrunk(observed_of(make_scene(TRUE_WIDTHS, 0, index)), share)
+        num_planes += len(given.nodes.label)
+        num_pieces += len(cut_observed(given).owner)
+    assert num_planes > 300
+    assert num_pieces == num_planes
+
+
+def test_published_cities_are_left_nearly_whole():
+    given = [observed_of(make_scene(S_C, 0, index)) for index in range(20)]
+    num_planes = sum(len(city.nodes.label) for city in given)
+    assert sum(len(cut_observed(city).owner) for city in given) <= 1.001 * num_planes
+
+
+def test_a_storey_that_was_shrunk_says_nothing_of_another():
+    for index in range(5):
+        below, _ = as_one(make_scene(TRUE_WIDTHS, 0, index))
+        above = shrunk(observed_of(make_scene(TRUE_WIDTHS, 1, index)), 0.7).nodes
+        up, alone = above.position + np.array([0, 0, 3]), cut_observed(below)
+        both = make_graph(
+            np.concatenate([below.nodes.label, above.label]),
+            np.concatenate([below.nodes.position, up]),
+            np.concatenate([below.nodes.normal, above.normal]),
+            np.concatenate([below.nodes.width, above.width]),
+        )
+        pieces = cut_observed(both)
+        num_below, num_pieces = len(below.nodes.label), len(alone.owner)
+        assert num_pieces > num_below
+        npt.assert_array_equal(pieces.position[:num_pieces], alone.position)
+        npt.assert_array_equal(pieces.owner[num_pieces:], num_below + np.arange(len(above.label)))
+
+
+@pytest.mark.parametrize(
+    ("others", "num_cut"),
+    [
+        ([], 0),
+        ([face(-0.5, 1, near=0.0, far=1.0)], 0),  # what is too short to cross anything
+        ([face(5.2, -1, near=-2.0, far=2.0)], 0),  # what an overhang comes to
+        ([face(4.5, -1, near=-3.0, far=2.0)], 0),  # what goes through one, and so on
+        ([face(4.5, -1, near=-3, far=2), (6.5, -2, 90, 5), face(7, -1, near=-4, far=0)], 0),
+        ([face(4.5, -1, near=-3.0, far=2.0, z=4.2)], 0),
+        ([(5, 30, 180, 2), (30, 5, 270, 2)], 0),  # it ends in line with something, but not at it
+        ([(20, 0, 90, 10), face(18, -1)], 1),  # elsewhere
+    ],
+)
+def test_what_overhangs_is_not_cut_nor_is_what_hangs_together_with_it(others, num_cut):
+    pieces = cut_observed(planes(*room(overhang=1.0), *others))
+    assert len(pieces.owner) == 4 + len(others) + num_cut
+
+
+BESIDE = (2.02, 0, 90, 6)  # the first side of the room, a little beside its middle
+
+
+@pytest.mark.parametrize(
+    ("sides", "num_cut"),
+    [
+        (room(overhang=1.0), 0),
+        ([BESIDE, *room(overhang=1.0)[1:]], 0),  # three sides tell
+        ([BESIDE, *room(overhang=1.0)[1:2], (2.02, 4, 270, 6), *room(overhang=1.0)[3:]], 8),
+        ([(2, 0, 90, 6.1), (4, 2, 180, 6), (2, 4, 270, 6.1), (0, 2, 0, 6)], 8),  # other shares
+        (room(overhang=1.0)[:2], 2),  # at one end only
+        (room(overhang=1.0)[:3], 0),
+        ([(2, 0, 90, 6), (4, 2, 180, 6), (4.6, 2, 180, 6 / 1.3), (0, 2, 0, 6)], 0),  # one between
+        ([(2, 0, 90, 6), (0, 2, 180, 6), (4, 2, 0, 6)], 4),  # no room, but a wall as thick
+        ([(2, 0, 90, 6), (4, 2, 180, 6), (4.005, 2.005, 180, 6.01)], 3),  # one side, seen twice
+        ([*room(overhang=-0.3), face(2, 1, far=2)], 1),  # they end before the corners
+    ],
+)
+def test_an_overhang_is_even_and_goes_beyond_the_corners_of_a_room(sides, num_cut):
+    assert len(cut_observed(planes(*sides)).owner) == len(sides) + num_cut
+
+
+@pytest.mark.parametrize("ends", [((0, 3), (3.2, 6.2), (6.4, 9.4)), ((0, 2), (2.3, 7), (7.3, 9.3))])
+def test_lines_of_wall_that_cross_evenly_are_cut_where_they_end_at_something(ends):
+    given = grid(*ends)
+    pieces = cut_observed(given)
+    npt.assert_array_equal(np.bincount(pieces.owner), 3)
+    for row in range(6):
+        npt.assert_allclose(stretches(given, pieces, row), ends, atol=1e-12)
 
 
 def turned(graph, angle, shift):

@@ -1,0 +1,324 @@
+"""What a robot sees of a graph: views of any complete graph, and what of its truth they still show.
+
+A view is drawn in the order in which a map comes about: the robot has been in some of the rooms;
+it misses planes and sees others in part; what lies on one line it takes for one plane; doors and
+cupboards cut planes in two; some it maps twice; furniture is taken for walls; nothing is exactly
+where it seems. A view is what intake makes of the planes, so they are level; `raw_planes` lean.
+
+The truth of a view, by two rules. A *surface* is what is seen of one plane, or of several that are
+taken for one, in however many parts.
+
+- A wall or a room stays if two surfaces of it are seen (one cannot tell of it; nor can several
+  parts of one plane), anything above it if one of its parts stays. A room that had only one
+  plane stays with that one.
+- What stays is where it is in the complete graph, at the height that it has there: a room does not
+  move because a cupboard hides its corner. Only floors, and what stands above them, move with the
+  middle of their parts when rooms go.
+
+Source: measurements on ten recordings of S-Graphs that its authors published
+(snt-arg/graph_matching): points scatter by 2.3 to 2.7 cm about their plane, heights of planes in a
+storey differ by 0.06 to 0.23 m, 35 of 249 planes lean by more than 3 degrees, rooms drawn by hand
+have two to seven planes. `MILD` and `STRONG` are degrees of damage that weights were measured at.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from sg3d_jax.data.robot_effects import (
+    EFFECTS,
+    RobotConfig,
+    SeenPlanes,
+    Stretches,
+    along,
+    matches,
+    seen_whole,
+)
+from sg3d_jax.scene.cut import cut_observed
+from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, ontology_of, parts_first
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PLANE
+
+LEAST_SIDES: Final = 2  # surfaces that tell of a wall or a room
+LEANING: Final = 0.15  # share of the raw planes that lean,
+LEAN: Final = (2.0, 15.0)  # degrees, and by how much
+TRIES: Final = 100  # views without a room that are drawn again
+# The fields of a `RobotConfig` that a mixture draws.
+STRENGTHS: Final = (
+    "unvisited",
+    "missing",
+    "shortened",
+    "merged",
+    "split",
+    "doubled",
+    "position_noise",
+    "heading_noise",
+    "height_noise",
+    "clutter",
+)
+_TAG: Final = 14  # keeps our random numbers apart from those of the generators
+
+
+@dataclass(frozen=True)
+class RobotMixture:
+    """Views from clean to strong: each has a severity, the root of a uniform number.
+
+    An effect is on with the chance of the severity, those of `seldom` with half of it; its share or
+    noise is then that of `strongest` times another such root.
+
+    Attributes:
+      strongest: the greatest shares and noise (`STRENGTHS`); all else of it is that of every view.
+      seldom: those that are on half as often.
+    """
+
+    strongest: RobotConfig
+    seldom: tuple[str, ...] = ()
+
+    def draw(self, rng: np.random.Generator) -> RobotConfig:
+        """Returns what one view is drawn with."""
+        severity = np.sqrt(rng.random())
+        chance = [severity / 2 if name in self.seldom else severity for name in STRENGTHS]
+        share = (rng.random(len(chance)) < chance) * np.sqrt(rng.random(len(chance)))
+        drawn = {
+            name: getattr(self.strongest, name) * each
+            for name, each in zip(STRENGTHS, share.tolist(), strict=True)
+        }
+        return replace(self.strongest, **drawn)
+
+
+MILD: Final = RobotConfig(
+    missing=0.05,
+    shortened=1.0,
+    shortened_by=(0.05, 0.15),
+    split=0.05,
+    position_noise=0.02,
+    heading_noise=1.0,
+    height_noise=0.1,
+)
+STRONG: Final = RobotConfig(
+    missing=0.1,
+    shortened=1.0,
+    split=0.1,
+    position_noise=0.05,
+    heading_noise=3.0,
+    height_noise=0.3,
+)
+TRAINING: Final = RobotMixture(
+    RobotConfig(
+        unvisited=0.7,
+        missing=0.25,
+        shortened=1.0,
+        shortened_by=(0.05, 0.45),
+        both_ends=0.3,
+        merged=1.0,
+        merged_gap=2.0,  # of planes whose ends are not seen
+        split=0.25,
+        doubled=0.15,
+        position_noise=0.07,
+        heading_noise=4.0,
+        height_noise=0.4,
+        clutter=0.3,
+    ),
+    seldom=("unvisited", "doubled", "clutter"),
+)
+
+# Views by name; NAME@VIEW is a data set of `registry`.
+VIEWS: Final[Mapping[str, RobotConfig | RobotMixture]] = MappingProxyType(
+    {
+        "robot": TRAINING,
+        "mild": MILD,
+        "strong": STRONG,
+        "clean": RobotConfig(),
+        "path": RobotConfig(unvisited=0.4),
+        "missing": RobotConfig(missing=0.2),
+        "shortened": RobotConfig(shortened=1.0),
+        "merged": RobotConfig(merged=1.0),
+        "split": RobotConfig(split=0.2),
+        "doubled": RobotConfig(doubled=0.15),
+        "position": RobotConfig(position_noise=0.05),
+        "heading": RobotConfig(heading_noise=3.0),
+        "height": RobotConfig(height_noise=0.3),
+        "clutter": RobotConfig(clutter=0.2),
+    }
+)
+
+
+class View(NamedTuple):
+    """A graph as a robot sees it."""
+
+    graph: SceneGraph  # host graph: seen planes, in front, and what of the truth stays
+    complete: SceneGraph  # what it is a view of
+    stretches: Stretches  # where the planes of the latter are seen; clutter has none
+
+
+def view(
+    graph: SceneGraph,
+    config: RobotConfig | RobotMixture,
+    seed: int,
+    index: int,
+    number: int = 0,
+) -> View:
+    """Draws what a robot sees of a complete graph.
+
+    Args:
+      graph: unpadded host graph of the paper's concepts; its proximity edges are not looked at.
+      config: what is seen otherwise than it is.
+      seed: names the data set.
+      index: names the graph in it.
+      number: names the view of the graph: the same (config, seed, index, number) gives the same.
+
+    Returns:
+      Seen planes in the order of those that they are of, parts of one beside one another and
+      clutter last; then walls, rooms and the rest that stays, in order. Part-of edges only; a plane
+      that is several planes of the graph has the edges of all of them. A view without a room, or
+      of one plane, is drawn again.
+
+    Raises:
+      ValueError: the graph has other concepts, or nothing is left of it in a hundred views.
+    """
+    if ontology_of(graph) != PAPER_ONTOLOGY:
+        held = ", ".join(ontology_of(graph).names)
+        raise ValueError(f"graph {index}: its concepts are {held}, expected the paper's")
+    rng = np.random.default_rng([seed, index, number, _TAG])
+    for _ in range(TRIES):
+        chosen = config.draw(rng) if isinstance(config, RobotMixture) else config
+        planes = seen_whole(graph)
+        for effect in EFFECTS:
+            planes = effect(planes, chosen, graph, rng)
+        seen = _truth(graph, planes, planes.stretches, _surfaces(planes.stretches, len(planes[0])))
+        if len(planes.width) >= LEAST_SIDES and seen.nodes.label.max() == graph.nodes.label.max():
+            return View(seen, graph, planes.stretches)
+    raise ValueError(f"graph {index}: nothing is left of it in {TRIES} views, expected a room")
+
+
+def in_pieces(view: View) -> SceneGraph:
+    """Returns the truth of a view over the pieces that its planes are cut into before growing.
+
+    Every piece has the walls and rooms of the plane of the complete graph that it lies on most, and
+    the truth follows by the rules of the module; a plane that shares its piece with another one is
+    lost to its room. Training learns from these graphs.
+
+    Args:
+      view: of `view`.
+    """
+    seen = observed_of(view.graph)
+    owner, position, width = cut_observed(seen)
+    normal = seen.nodes.normal[owner, :2]
+    offset = position[:, :2] - seen.nodes.position[owner, :2]
+    middle = np.sum(offset * along(normal), axis=1)
+    piece, at = matches(view.stretches.seen, owner)
+    low = np.maximum(view.stretches.low[at], (middle - width / 2)[piece])
+    high = np.minimum(view.stretches.high[at], (middle + width / 2)[piece])
+    order = np.lexsort((low - high, piece))
+    order = order[(high >= low)[order]]
+    piece, most = np.unique(piece[order], return_index=True)
+    lies_on = Stretches(piece, *(f[order][most] for f in (view.stretches.plane[at], low, high)))
+    surface = _surfaces(view.stretches, len(seen.nodes.label))[owner]
+    pieces = SeenPlanes(position, normal, width, lies_on)
+    return _truth(view.complete, pieces, lies_on, surface)
+
+
+def raw_planes(graph: SceneGraph, seed: int, index: int, number: int = 0) -> SceneGraph:
+    """Returns the planes of a view as a robot has them before intake: a share of them leans.
+
+    Args:
+      graph: of a `View`.
+      seed: names the data set, as for `view`; likewise the others.
+      index: names the graph in it.
+      number: names the view of the graph.
+    """
+    rng = np.random.default_rng([seed, index, number, _TAG + 1])
+    planes = observed_of(graph)
+    lean = np.radians(rng.uniform(*LEAN, size=len(planes.nodes.label)))
+    lean *= rng.choice([-1, 1], size=len(lean)) * (rng.random(len(lean)) < LEANING)
+    normal = planes.nodes.normal * np.cos(lean)[:, None]
+    normal[:, 2] += np.sin(lean)
+    return planes._replace(nodes=planes.nodes._replace(normal=normal))
+
+
+def _surfaces(stretches: Stretches, num_seen: int) -> np.ndarray:
+    """Returns the surface of each seen plane, int[k]: the first plane of the graph that is of it.
+
+    Seen planes that show one plane of the graph are of one surface, and so on from these.
+    """
+    first = np.arange(stretches.plane.max(initial=-1) + 1)
+    while True:
+        surface = np.full(num_seen, len(first))  # clutter stays so
+        np.minimum.at(surface, stretches.seen, first[stretches.plane])
+        before = first.copy()
+        np.minimum.at(first, stretches.plane, surface[stretches.seen])
+        if np.array_equal(first, before):
+            return surface
+
+
+def _truth(
+    graph: SceneGraph, planes: SeenPlanes, stretches: Stretches, surface: np.ndarray
+) -> SceneGraph:
+    """Returns seen planes with what of the complete graph they still show.
+
+    Args:
+      graph: complete.
+      planes: k that are seen.
+      stretches: what is seen on them.
+      surface: int[k], which surface each is part of.
+    """
+    num_nodes, num_seen = len(graph.nodes.label), len(planes.width)
+    pairs = parts_first(graph)
+    of_planes = graph.nodes.observed[pairs[:, 0]]
+    part, whole = pairs[of_planes][np.argsort(pairs[of_planes, 0], kind="stable")].T
+    which, at = matches(part, stretches.plane)
+    seen, of = stretches.seen[which], whole[at]
+    sides = np.unique(surface[seen] * num_nodes + of) % num_nodes
+    num_parts = np.bincount(whole, minlength=num_nodes)
+    stays = np.bincount(sides, minlength=num_nodes) >= np.clip(num_parts, 1, LEAST_SIDES)
+    stays, position = _above(graph, pairs[~of_planes], stays)
+    kept = np.flatnonzero(stays)
+    place = np.full(num_nodes, -1)
+    place[kept] = num_seen + np.arange(len(kept))
+    seen, of = np.divmod(np.unique(seen * num_nodes + of), num_nodes)
+    edges = np.concatenate([np.column_stack([seen, place[of]]), place[pairs[~of_planes]]])
+    return make_graph(
+        np.concatenate([np.full(num_seen, PLANE), graph.nodes.label[kept]]),
+        np.concatenate([planes.position, position[kept]]),
+        normal=np.pad(planes.normal, [(0, len(kept)), (0, 1)]),
+        width=np.pad(planes.width, (0, len(kept))),
+        part_of=edges[(edges >= 0).all(axis=1)],
+    )
+
+
+def _above(
+    graph: SceneGraph, pairs: np.ndarray, stays: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns which nodes stay, bool[n], and where all of them are, float[n, 3].
+
+    What has a part that stays does, and moves as the middle of its parts has moved: their mean in
+    x and y, the highest in z.
+
+    Args:
+      graph: complete.
+      pairs: int[e, 2], its part-of edges between nodes that are not seen, the part first.
+      stays: bool[n], which walls and rooms do.
+    """
+    stays, position = stays.copy(), graph.nodes.position.copy()
+    kind = graph.nodes.label[pairs[:, 1]]
+    for each in np.unique(kind):
+        part, whole = pairs[kind == each].T
+        staying = stays[part]
+        before, _ = _middles(graph.nodes.position[part], whole, len(stays))
+        after, found = _middles(position[part][staying], whole[staying], len(stays))
+        position[found] += after[found] - before[found]
+        stays |= found
+    return stays, position
+
+
+def _middles(
+    points: np.ndarray, group: np.ndarray, num_groups: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the middle of each group of points, float[g, 3], and which have any, bool[g]."""
+    count = np.bincount(group, minlength=num_groups)
+    x, y = (np.bincount(group, axis, num_groups) / np.maximum(count, 1) for axis in points[:, :2].T)
+    z = np.full(num_groups, -np.inf)
+    np.maximum.at(z, group, points[:, 2])
+    return np.column_stack([x, y, np.where(count, z, 0)]), count > 0
