@@ -17,6 +17,7 @@ from sg3d_jax import __version__
 from sg3d_jax.data import registry
 from sg3d_jax.flagg.grow import HALT_REASONS
 from sg3d_jax.infer import complete as completing
+from sg3d_jax.infer.confidence import Confidence
 from sg3d_jax.io.formats import read_graphs, write_graphs
 from sg3d_jax.metrics.paper import SCORES
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
@@ -127,7 +128,8 @@ def test_one_scene_may_go_to_json_lines(weights):
 
 
 def test_a_graph_that_did_not_come_to_its_end_is_warned_of(weights, capsys, monkeypatch):
-    grown = completing.Completion(small_floors()[0], "CAPACITY", 3, 4)
+    sure = Confidence(0.0, 0.0, 0.0, None)
+    grown = completing.Completion(small_floors()[0], "CAPACITY", 3, np.arange(4), sure, ())
     monkeypatch.setattr(completing, "complete", lambda *arguments, **options: [[grown]])
     run("complete", write("a.json", SCENES[0]), "-o", "graph.json", "--weights", weights)
     warning = "sg3d: warning: scene 0 sample 0 stopped by CAPACITY, so its graph is incomplete\n"
@@ -159,18 +161,23 @@ def in_millimetres(scene):
     [
         ("a.json", changed(width=float("nan")), "width is nan, expected finite numbers"),
         ("a.json", changed(centroid=[0, float("inf"), 0]), "expected finite numbers"),
-        ("a.json", changed(normal=[2, 0, 0]), "normal is [2, 0, 0], expected length 1"),
-        ("a.json", changed(normal=[0, 0, 1]), "expected |z| <= 0.05, as of vertical planes"),
+        ("a.json", changed(normal=[0, 0, 0]), "normal is [0, 0, 0], expected length 1"),
+        ("a.json", changed(width=-2), "width is -2, expected zero metres or more"),
         ("a.json", {"planes": []}, "planes holds no planes, expected at least two"),
         ("a.json", {"planes": SCENES[0]["planes"][:1]}, "planes holds one plane"),
-        ("a.json", {"planes": SCENES[0]["planes"][:2] * 2}, "planes[2] repeats planes[0]"),
+        (
+            "a.json",
+            {"planes": SCENES[0]["planes"][:1] * 3},
+            "planes holds one plane, having merged 2 planes (exactly repeated), expected at least",
+        ),
         ("a.json", in_millimetres(SCENES[0]), "looks like millimetres"),
         ("a.json", "{", "not JSON at line 1 column 2"),
         ("a.json", "", "not JSON at line 1 column 1"),
-        ("a.json", changed(height=2.5), "has 'height', expected exactly centroid, normal, width"),
+        ("a.json", changed(label="door"), "has 'label', which the result says itself, expected"),
+        ("a.json", {"planes": [p | {"id": 3} for p in SCENES[0]["planes"]]}, "id is 3 again"),
         ("a.jsonl", json.dumps(SCENES[0]) + "\n{}\n", "line 2: the document has no key"),
-        ("a.csv", as_csv(SCENES[0]).replace("cx", "x"), "unknown column 'x'"),
-        ("a.csv", as_csv(SCENES[0]).replace("width", "width,label"), "unknown column 'label'"),
+        ("a.csv", as_csv(SCENES[0]).replace("cx", "x"), "missing column 'cx'"),
+        ("a.csv", as_csv(SCENES[0]).replace("width", "width,label"), "has 7 cells, expected 8"),
         ("a.txt", "", "the name ends in '.txt', expected one of .json, .jsonl"),
     ],
 )

@@ -10,7 +10,7 @@ from sg3d_jax import cli
 from sg3d_jax.io.formats import read_graphs, write_graphs
 from sg3d_jax.scene.graph import subgraph, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF
-from tests.command_line import SCENES, refusal, run, write
+from tests.command_line import SCENES, as_csv, documents, observed, refusal, run, write
 from tests.tiny_run import small_floors, untrained_weights
 
 
@@ -103,3 +103,137 @@ def test_a_traceback_is_had_by_asking_for_it(monkeypatch, capsys):
     monkeypatch.setenv("SG3D_DEBUG", "1")
     with pytest.raises(ValueError, match=r"nothing\.json: No such file"):
         cli.main(arguments)
+
+
+def planes_with(scene=SCENES[0], **changes):
+    """Returns a scene of which some planes have other keys: plane_3={...}."""
+    planes = [dict(plane) for plane in scene["planes"]]
+    for name, held in changes.items():
+        planes[int(name.removeprefix("plane_"))] |= held
+    return {"planes": planes}
+
+
+def remarks(capsys):
+    lines = capsys.readouterr().err.splitlines()
+    assert all(line.startswith("sg3d: remark: planes.json") for line in lines)
+    return [line.removeprefix("sg3d: remark: planes.json").removeprefix(": ") for line in lines]
+
+
+def test_what_is_mended_is_said_and_right_planes_come_out_as_they_are(weights, capsys):
+    x, y, _ = SCENES[0]["planes"][2]["normal"]
+    scene = planes_with(plane_2={"normal": [x, y, 0.2]}, plane_4={"normal": [0.0, 0.1, 1.0]})
+    scene["planes"].append(scene["planes"][0])
+    document = complete(write("planes.json", scene), weights)
+    expected = planes_with()["planes"]
+    del expected[4]
+    assert observed(document)["planes"] == expected
+    mended = [
+        "brought the normals of 1 plane to length 1",
+        "levelled 1 plane (lean of up to 15 degrees)",
+        "left out 1 plane (lean of more than 15 degrees)",
+        "merged 1 plane (exactly repeated)",
+    ]
+    assert remarks(capsys)[:4] == mended
+    assert document["remarks"][:4] == mended
+
+
+def test_flipped_normals_are_turned_or_kept(weights, capsys):
+    flipped = planes_with()
+    for plane in flipped["planes"]:
+        plane["normal"] = [0.0 - part for part in plane["normal"]]
+    write("planes.json", flipped)
+    for options, expected, said in (
+        ((), planes_with(), "turned all normals, since "),
+        (("--normals", "as-given"), flipped, "kept all normals as given, though "),
+    ):
+        document = complete("planes.json", weights, *options)
+        assert observed(document) == expected
+        assert remarks(capsys)[0].startswith(said)
+
+
+def test_shared_planes_are_cut_unless_they_are_not_to_be(weights, capsys):
+    """Two rooms along one plane: a wall between them abuts on it."""
+    sides = [
+        *[([0.0, 1.5], [1, 0], 3.0), ([4.0, 1.5], [-1, 0], 3.0), ([2.0, 0.0], [0, 1], 4.0)],
+        *[([4.2, 1.5], [1, 0], 3.0), ([8.2, 1.5], [-1, 0], 3.0), ([6.2, 0.0], [0, 1], 4.0)],
+        ([4.1, 3.0], [0, -1], 8.2),
+    ]
+    scene = {
+        "planes": [
+            {"centroid": [*place, 0.0], "normal": [*map(float, facing), 0.0], "width": width}
+            for place, facing, width in sides
+        ]
+    }
+    write("planes.json", scene)
+    cut = "cut 1 of 7 planes where others abut on them, and joined them again"
+    for options, expected in (((), True), (("--cut", "never"), False)):
+        document = complete("planes.json", weights, *options)
+        assert observed(document) == scene
+        assert (cut in document["remarks"]) == expected
+        assert (cut in remarks(capsys)) == expected
+
+
+def test_ids_and_further_keys_are_carried(weights):
+    """Also if a plane before them is left out; edges and lists name what was grown by new ids."""
+    scene = planes_with(
+        plane_0={"id": "ceiling", "normal": [0, 0, 1]},
+        plane_1={"id": 70, "robot": {"name": "r2"}},
+        plane_3={"colour": [0, 0.5, 1]},
+    )
+    document = complete(write("planes.json", scene), weights)
+    nodes, count = document["nodes"], len(scene["planes"]) - 1
+    assert nodes[0]["id"] == 70
+    assert nodes[0]["robot"] == {"name": "r2"}
+    assert nodes[2]["colour"] == [0, 0.5, 1]
+    known = {"id", "label", "position", "normal", "width"}
+    assert [set(node) - known for node in nodes[3:]] == [set()] * (len(nodes) - 3)
+    ids = [node["id"] for node in nodes]
+    assert len(set(ids)) == len(ids)
+    assert document["observed"] == {"plane": ids[:count]}
+    assert sorted(name for rows in document["grown"].values() for name in rows) == ids[count:]
+    assert {end for edge in document["edges"] for end in edge} <= set(ids)
+    (read,) = read_graphs("graph.json")
+    assert len(undirected_edges(read, PART_OF)) == len(document["edges"])
+
+
+def test_tables_and_graphs_carry_theirs_too(weights):
+    rows = as_csv(SCENES[0]).splitlines()
+    wide = [f"{row},{cell}" for row, cell in zip(rows, ["id", *range(50, 99)], strict=False)]
+    nodes = complete(write("planes.csv", "\n".join(wide)), weights)["nodes"]
+    count = len(SCENES[0]["planes"])
+    assert [node["id"] for node in nodes[:count]] == list(range(50, 50 + count))
+    known = with_rooms()
+    names = [{"id": f"n{row}", "seen": row} for row in range(len(known.nodes.label))]
+    write_graphs("known.json", [known], attributes=[names])
+    document = complete("known.json", weights, "--keep")
+    kept = [{key: node.get(key) for key in ("id", "seen")} for node in document["nodes"]]
+    assert kept[: len(names)] == names
+    rooms = np.flatnonzero(known.nodes.label == 2)
+    assert document["kept"] == {"room": [f"n{row}" for row in rooms]}
+
+
+def test_how_sure_it_is_stands_in_the_result_and_doubts_are_said(weights, capsys):
+    """Untrained weights grow nodes that belong to nothing, and other ones every time."""
+    write("planes.json", SCENES[0])
+    run("complete", "planes.json", "-o", "graphs.jsonl", "--weights", weights, "--samples", 2)
+    one, other = documents("graphs.jsonl")
+    said = remarks(capsys)
+    for index, document in enumerate((one, other)):
+        shares = document["confidence"]
+        assert list(shares) == ["unplaced", "loose", "thin", "agreement"]
+        assert all(0 <= share <= 1 for share in shares.values())
+        doubts = [remark for remark in document["remarks"] if remark.startswith("unsure: ")]
+        assert doubts
+        shared = set(one["remarks"]) & set(other["remarks"])
+        for doubt in doubts:
+            assert (doubt if doubt in shared else f"sample {index}: {doubt}") in said
+    assert len(said) == len(set(said))
+    assert complete("planes.json", weights)["confidence"]["agreement"] is None
+
+
+def test_remarks_name_the_graph_of_a_file_of_several(weights, capsys):
+    lines = [json.dumps(planes_with()), json.dumps(planes_with(plane_0={"normal": [0, 0, 1]}))]
+    write("planes.jsonl", "\n".join(lines))
+    run("complete", "planes.jsonl", "-o", "graphs.jsonl", "--weights", weights)
+    said = "sg3d: remark: planes.jsonl: graph 1: left out 1 plane (lean of more than 15 degrees)"
+    assert said in capsys.readouterr().err.splitlines()

@@ -9,6 +9,7 @@ from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, HALT_REASONS
 from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.candidates import medoids
+from sg3d_jax.infer.confidence import Confidence, judged
 from sg3d_jax.infer.lanes import Finished, Model, complete_lanes
 from sg3d_jax.infer.prepare import Scene, finished, prepare
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
@@ -19,10 +20,17 @@ INCOMPLETE = ("CAPACITY", "MAX_STEPS")  # halt reasons of graphs that did not co
 class Completion(NamedTuple):
     """A completed graph on the host."""
 
-    graph: SceneGraph  # unpadded, float64; what was given comes first, bit for bit
+    graph: SceneGraph  # unpadded, float64; what was given comes first, bit for bit if it was right
     halt_reason: str  # HALTED: found complete; CAPACITY, MAX_STEPS: cut off; ONE_SHOT: did not grow
     steps: int  # blocks inserted
-    num_given: int  # nodes that were given
+    source: np.ndarray  # int[k], row in the scene of each node that was given
+    confidence: Confidence  # how sure it is; HALTED says nothing about it
+    remarks: tuple[str, ...]  # what was mended, is not plausible, or unsure; one sentence each
+
+    @property
+    def num_given(self) -> int:
+        """How many nodes were given."""
+        return len(self.source)
 
     @property
     def observed(self) -> dict[str, np.ndarray]:
@@ -64,6 +72,8 @@ def complete(
     outgrow: bool = True,
     max_steps: int = DEFAULT_MAX_STEPS,
     names: Sequence[str] | None = None,
+    normals: str = "check",
+    cut: str = "auto",
 ) -> list[list[Completion]]:
     """Completes scene graphs from host graphs, in compiled batches.
 
@@ -83,6 +93,9 @@ def complete(
         three nodes a plane; else it ends there, with the halt reason CAPACITY.
       max_steps: a limit on the number of blocks.
       names: what a refusal calls each scene, such as "planes.jsonl: line 3".
+      normals: "check" to turn normals that point out of rooms all over, "as-given" to turn none.
+      cut: "auto" to cut planes that several rooms share where other walls abut, and to join the
+        pieces again; "never" to leave them whole.
 
     Returns:
       For every scene, in order, its samples.
@@ -102,12 +115,11 @@ def complete(
     if keep and not isinstance(model, Flagg):
         given = model.ontology.observed_plural
         raise ValueError(f"keep: this model completes {given} alone, expected one that grows")
-    prepared = prepare(scenes, model.ontology, keep, names)
+    prepared = prepare(scenes, model.ontology, keep, names, normals, cut)
     numbers = seed, samples * candidates, max_steps, lanes
     drawn = complete_lanes(model, params, prepared, *numbers, outgrow)
     completions = [
-        [_completion(scene, result) for result in results]
-        for scene, results in zip(prepared, drawn, strict=True)
+        _completions(scene, results) for scene, results in zip(prepared, drawn, strict=True)
     ]
     return completions if candidates == 1 else _chosen(completions, candidates)
 
@@ -118,9 +130,21 @@ def share_halted(completions: Sequence[Completion]) -> float | None:
     return None if "ONE_SHOT" in reasons else reasons.count("HALTED") / len(reasons)
 
 
-def _completion(scene: Scene, result: Finished) -> Completion:
-    graph, reason = finished(scene, result.graph), HALT_REASONS[result.halt_reason]
-    return Completion(graph, reason, result.steps, len(scene.given.nodes.label))
+def _completions(scene: Scene, results: Sequence[Finished]) -> list[Completion]:
+    """Returns what was drawn of one scene, each compared with the others."""
+    graphs = [finished(scene, result.graph) for result in results]
+    sure = judged(graphs, len(scene.source))
+    return [
+        Completion(
+            graph,
+            HALT_REASONS[result.halt_reason],
+            result.steps,
+            scene.source,
+            confidence,
+            (*scene.remarks, *doubts),
+        )
+        for graph, result, (confidence, doubts) in zip(graphs, results, sure, strict=True)
+    ]
 
 
 def _chosen(completions: list[list[Completion]], candidates: int) -> list[list[Completion]]:

@@ -193,7 +193,7 @@ def complete_lanes(
 
 def _capacity(model: Model, scene: Scene) -> Capacity:
     """Returns the bucket in which a scene begins."""
-    nodes = scene.given.nodes
+    nodes = scene.centred.nodes
     num_observed = int(np.sum(nodes.observed))
     try:
         if isinstance(model, OneShot):
@@ -205,7 +205,7 @@ def _capacity(model: Model, scene: Scene) -> Capacity:
 
 def _most(scene: Scene) -> Capacity:
     """Returns the largest bucket of a scene."""
-    nodes = scene.given.nodes
+    nodes = scene.centred.nodes
     return largest_capacity(int(np.sum(nodes.observed)), len(nodes.label))
 
 

@@ -4,14 +4,18 @@ And the way back: what was given leaves as it came, bit for bit, with what was g
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from sg3d_jax.infer.intake import taken_in
+from sg3d_jax.scene.cut import Pieces, cut_observed, joined, of_pieces
 from sg3d_jax.scene.graph import SceneGraph, extended, observed_of, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
 from sg3d_jax.scene.padding import centre_of_observed, moved_by
-from sg3d_jax.scene.validate import checked_observed, validate_graph
+from sg3d_jax.scene.validate import check_observed, validate_graph
+
+CUT: Final = ("auto", "never")
 
 
 class Scene(NamedTuple):
@@ -19,46 +23,85 @@ class Scene(NamedTuple):
 
     where: str  # what a refusal calls it
     given: SceneGraph  # host graph without proximity edges, in the user's frame
-    centred: SceneGraph  # the same around the mean of what is observed
+    source: np.ndarray  # int[n], row that each of its nodes has in the user's graph
+    pieces: Pieces | None  # what its observed nodes are cut into; None if none is cut
+    in_pieces: SceneGraph  # the same graph, its observed nodes in pieces
+    centred: SceneGraph  # that around the mean of what is observed
     centre: np.ndarray  # float64[3], metres
-    num_missing: int  # nodes that the user's graph has and `given` has not; for an oracle
+    num_missing: int  # nodes that the user's graph has beside what is observed; for an oracle
+    remarks: tuple[str, ...]  # what was mended, cut, or is not plausible; one sentence each
 
 
 def prepare(
-    scenes: Any, ontology: Ontology, keep: bool, names: Sequence[str] | None = None
+    scenes: Any,
+    ontology: Ontology,
+    keep: bool,
+    names: Sequence[str] | None = None,
+    normals: str = "check",
+    cut: str = "auto",
 ) -> list[Scene]:
-    """Checks host graphs and takes of each what is given.
+    """Checks host graphs and takes of each what is given, mended and in pieces.
 
     Args:
       scenes: host graphs, observed nodes or more; not yet trusted.
       ontology: the concepts that the model knows.
       keep: whether everything in a scene is given, such as known rooms, or its observed nodes only.
       names: what a refusal calls each scene; "scene 0", "scene 1" and so on by default.
+      normals: "check" to turn those that are flipped all over, "as-given" to turn none.
+      cut: "auto" to cut planes where other walls abut, "never" to leave them whole.
 
     Raises:
       ValueError: one sentence that names the scene, the node, the field and what was expected.
     """
     if isinstance(scenes, SceneGraph) or not isinstance(scenes, Sequence):
         raise ValueError(f"scenes is a {type(scenes).__name__}, expected a list of host graphs")
+    if cut not in CUT:
+        raise ValueError(f"cut is {cut!r:.40}, expected {' or '.join(CUT)}")
     names = [f"scene {index}" for index in range(len(scenes))] if names is None else names
     pairs = zip(scenes, names, strict=True)
-    return [_prepared(scene, ontology, keep, where) for scene, where in pairs]
+    return [_prepared(scene, ontology, keep, where, normals, cut) for scene, where in pairs]
 
 
-def _prepared(scene: Any, ontology: Ontology, keep: bool, where: str) -> Scene:
+def _prepared(
+    scene: Any, ontology: Ontology, keep: bool, where: str, normals: str, cut: str
+) -> Scene:
     if not isinstance(scene, SceneGraph):
         expected = "a host graph, as of sg.planes or sg.read_graphs"
         raise ValueError(f"{where}: is a {type(scene).__name__}, expected {expected}")
     if ontology_of(scene) != ontology:
         held, known = (", ".join(each.names) for each in (ontology_of(scene), ontology))
         raise ValueError(f"{where}: its concepts are {held}, expected {known}, as of the model")
-    scene = checked_observed(_on_host(scene), where)
+    scene = _on_host(scene)
+    check_observed(scene, where)
     if keep:
         validate_graph(scene, where, rules=False)
-    given = _without_proximity(scene) if keep else observed_of(scene)
-    centre = centre_of_observed(given)
-    num_missing = len(scene.nodes.label) - len(given.nodes.label)
-    return Scene(where, given, moved_by(given, -centre), centre, num_missing)
+    observed = np.asarray(scene.nodes.observed)
+    rows = np.arange(len(observed)) if keep else np.flatnonzero(observed)
+    given, source, remarks = taken_in(scene if keep else observed_of(scene), where, normals)
+    pieces = _pieces(given) if cut == "auto" else None
+    if pieces is not None:
+        num_cut, plural = int(np.sum(np.bincount(pieces.owner) > 1)), ontology.observed_plural
+        said = f"cut {num_cut} of {int(observed.sum())} {plural} where others abut on them"
+        remarks = (*remarks, f"{said}, and joined them again")
+    in_pieces = given if pieces is None else of_pieces(given, pieces)
+    centre = centre_of_observed(in_pieces)
+    return Scene(
+        where,
+        given,
+        rows[source],
+        pieces,
+        in_pieces,
+        moved_by(in_pieces, -centre),
+        centre,
+        num_missing=0 if keep else int(np.sum(~observed)),
+        remarks=remarks,
+    )
+
+
+def _pieces(given: SceneGraph) -> Pieces | None:
+    """Returns what observed nodes are cut into, or None if none is cut."""
+    pieces = cut_observed(given)
+    return pieces if len(pieces.owner) > np.sum(given.nodes.observed) else None
 
 
 def finished(scene: Scene, grown: SceneGraph) -> SceneGraph:
@@ -68,20 +111,15 @@ def finished(scene: Scene, grown: SceneGraph) -> SceneGraph:
       scene: of `prepare`.
       grown: host graph whose first nodes are those of `scene.centred`.
     """
-    num_given = len(scene.given.nodes.label)
+    num_given = len(scene.in_pieces.nodes.label)
     pairs = undirected_edges(grown, PART_OF)
-    return extended(
-        scene.given,
+    graph = extended(
+        scene.in_pieces,
         np.asarray(grown.nodes.label)[num_given:],
         np.asarray(grown.nodes.position, np.float64)[num_given:] + scene.centre,
         pairs[(pairs >= num_given).any(axis=-1)],
     )
-
-
-def _without_proximity(graph: SceneGraph) -> SceneGraph:
-    """Returns a host graph without its proximity edges: they are made anew."""
-    bare = graph._replace(edges=graph.edges._replace(mask=graph.edges.relation == PART_OF))
-    return extended(bare, [], np.zeros((0, 3)), np.zeros((0, 2)))
+    return graph if scene.pieces is None else joined(graph, scene.pieces, scene.given)
 
 
 def _on_host(graph: SceneGraph) -> SceneGraph:

@@ -19,15 +19,16 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from sg3d_jax.io import npz, published
+from sg3d_jax.io.attributes import Attributes, Read, check_attributes
 from sg3d_jax.io.files import read_documents, write_document, write_documents
 from sg3d_jax.io.graphml import read_graphml, write_graphml
-from sg3d_jax.io.json import graph_from_dict, graph_to_dict
+from sg3d_jax.io.json import graph_to_dict, read_dict
 from sg3d_jax.io.networkx import graph_from_node_link, graph_to_node_link
-from sg3d_jax.io.planes import planes_from_csv, planes_from_dict
-from sg3d_jax.io.s_graphs import planes_from_message
+from sg3d_jax.io.planes import read_csv, read_planes_dict
+from sg3d_jax.io.s_graphs import read_message
 from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg
 from sg3d_jax.scene.graph import SceneGraph, observed_of
-from sg3d_jax.scene.validate import checked_observed, validate_graph
+from sg3d_jax.scene.validate import check_observed, validate_graph
 
 FORMATS: Final = ("json", "networkx", "spark-dsg", "graphml", "npz")
 DOCUMENTS: Final = (".json", ".jsonl")
@@ -35,13 +36,13 @@ PICKLES: Final = (".zip", *published.SUFFIXES)
 READABLE: Final = (*DOCUMENTS, ".npz", ".graphml", ".csv", *PICKLES)
 
 # A key that tells what a JSON document is, and how it is read; the first that fits.
-_DOCUMENTS: Final[tuple[tuple[str, Callable[[Any, str], SceneGraph]], ...]] = (
+_DOCUMENTS: Final[tuple[tuple[str, Callable[[Any, str], SceneGraph | Read]], ...]] = (
     ("SPARK_DSG_header", graph_from_spark_dsg),
     ("multigraph", graph_from_node_link),
-    ("planes", planes_from_dict),
-    ("x_planes", planes_from_message),
-    ("nodes", graph_from_dict),
-    ("ontology", planes_from_dict),
+    ("planes", read_planes_dict),
+    ("x_planes", read_message),
+    ("nodes", read_dict),
+    ("ontology", read_planes_dict),
 )
 _WRITERS: Final[Mapping[str, Callable[..., dict[str, Any]]]] = MappingProxyType(
     {"json": graph_to_dict, "networkx": graph_to_node_link, "spark-dsg": graph_to_spark_dsg}
@@ -57,17 +58,29 @@ def read_graphs(path: str | Path) -> list[SceneGraph]:
     Raises:
       ValueError: one sentence that names the file, the graph and the field.
     """
+    return [read.graph for read in read_with_attributes(path)]
+
+
+def read_with_attributes(path: str | Path) -> list[Read]:
+    """Returns the host graphs of a file, each with what else the file says of its nodes.
+
+    JSON (graphs, planes) and CSV have attributes of any name, S-Graphs ids; other formats have none
+    that are read.
+
+    Raises:
+      ValueError: one sentence that names the file, the graph and the field.
+    """
     suffix = Path(path).suffix.lower()
     if suffix in DOCUMENTS:
-        return [_graph(document, where) for where, document in read_documents(path)]
-    if suffix == ".npz":
-        return npz.load(path, rules=False).graphs
-    if suffix == ".graphml":
-        return [read_graphml(path)]
+        return [_read(document, where) for where, document in read_documents(path)]
     if suffix == ".csv":
-        return [planes_from_csv(path)]
+        return [read_csv(path)]
+    if suffix == ".npz":
+        return [_bare(graph) for graph in npz.load(path, rules=False).graphs]
+    if suffix == ".graphml":
+        return [_bare(read_graphml(path))]
     if suffix in PICKLES:
-        return published.read_published(path)
+        return [_bare(graph) for graph in published.read_published(path)]
     raise ValueError(f"{path}: the name ends in {suffix!r}, expected one of {', '.join(READABLE)}")
 
 
@@ -78,18 +91,15 @@ def read_planes(path: str | Path) -> list[SceneGraph]:
       path: planes, or graphs whose planes are wanted; metres.
 
     Returns:
-      The planes, and what else their ontology says is observed. Normals that were rounded to two
-      decimals have length 1.
+      The planes, and what else their ontology says is observed, as they are given.
 
     Raises:
       ValueError: one sentence that names the file, the scene, the plane and the field.
     """
-    graphs = read_graphs(path)
-    several = len(graphs) > 1
-    return [
-        checked_observed(observed_of(graph), f"{path}: graph {index}" if several else f"{path}")
-        for index, graph in enumerate(graphs)
-    ]
+    graphs = [observed_of(graph) for graph in read_graphs(path)]
+    for index, graph in enumerate(graphs):
+        check_observed(graph, f"{path}: graph {index}" if len(graphs) > 1 else f"{path}")
+    return graphs
 
 
 def write_graphs(
@@ -98,6 +108,7 @@ def write_graphs(
     to: str = "json",
     extras: Sequence[Mapping[str, Any]] | None = None,
     walls: str = "edges",
+    attributes: Sequence[Attributes] | None = None,
 ) -> None:
     """Writes host graphs in a format; reading them back gives the same graphs, digit for digit.
 
@@ -108,13 +119,16 @@ def write_graphs(
       extras: what else the JSON document of each graph should say of it, such as `halt_reason`;
         readers ignore it.
       walls: for Spark-DSG, see `graph_to_spark_dsg`.
+      attributes: what else is said of the nodes of each graph, in JSON alone.
 
     Raises:
-      ValueError: a graph breaks the data model, the suffix is not one of the format, or the file
-        holds one graph and there are several.
+      ValueError: a graph breaks the data model, the suffix is not one of the format, attributes
+        cannot be written, or the file holds one graph and there are several.
     """
     path = Path(path)
     check_writable(path, len(graphs), to)
+    if attributes is not None and to != "json":
+        raise ValueError(f"{path}: there are attributes, expected none for {to}")
     if to == "npz":
         npz.save(path, graphs, {}, rules=False)
         return
@@ -125,9 +139,10 @@ def write_graphs(
     else:
         extras = [{}] * len(graphs) if extras is None else extras
         options = {"walls": walls} if to == "spark-dsg" else {}
+        held = [{}] * len(graphs) if attributes is None else _checked(attributes, path)
         documents = [
-            _WRITERS[to](graph, **options, **extra)
-            for graph, extra in zip(graphs, extras, strict=True)
+            _WRITERS[to](graph, **options, **of_nodes, **extra)
+            for graph, of_nodes, extra in zip(graphs, held, extras, strict=True)
         ]
         if path.suffix.lower() == ".json":
             write_document(path, documents[0])
@@ -154,11 +169,24 @@ def check_writable(path: str | Path, num_graphs: int, to: str) -> None:
         raise ValueError(f"{path}: holds one graph, expected {instead} for {num_graphs} graphs")
 
 
-def _graph(document: Any, where: str) -> SceneGraph:
+def _checked(attributes: Sequence[Attributes], path: Path) -> list[dict[str, Attributes]]:
+    """Returns the attributes of each graph as a writer takes them."""
+    for index, of_nodes in enumerate(attributes):
+        check_attributes(of_nodes, f"{path}: graph {index}")
+    return [{"attributes": of_nodes} for of_nodes in attributes]
+
+
+def _read(document: Any, where: str) -> Read:
     """Returns the graph of a JSON document of any kind."""
     keys = document if isinstance(document, dict) else {}
     for key, read in _DOCUMENTS:
         if key in keys:
-            return read(document, where)
+            made = read(document, where)
+            return made if isinstance(made, Read) else _bare(made)
     expected = "nodes and edges, or planes"
     raise ValueError(f"{where}: the document has no key that tells what it is, expected {expected}")
+
+
+def _bare(graph: SceneGraph) -> Read:
+    """Returns a graph of whose nodes nothing else is said."""
+    return Read(graph, [{}] * len(graph.nodes.label))

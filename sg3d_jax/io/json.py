@@ -4,12 +4,14 @@
 `label` is the name of a concept, `normal` and `width` are null for concepts that have none, `edges`
 are the part-of edges, the part first, by id. Proximity edges, if the graph has any, are under
 `proximity_edges`; concepts that are not the paper's under `ontology`. Numbers survive exactly.
+Further keys of a node are its attributes (`io.attributes`), and so is an id that is not its row.
 """
 
 from typing import Any
 
 import numpy as np
 
+from sg3d_jax.io.attributes import ID, OWN, Attributes, Read, check_id, further, node_ids
 from sg3d_jax.io.files import vector
 from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
 from sg3d_jax.scene.graph import (
@@ -22,31 +24,45 @@ from sg3d_jax.scene.ontology import FEATURES, PROXIMITY, Ontology
 from sg3d_jax.scene.validate import validate_graph
 
 
-def graph_to_dict(graph: SceneGraph, **extra: Any) -> dict[str, Any]:
+def graph_to_dict(
+    graph: SceneGraph, attributes: Attributes | None = None, **extra: Any
+) -> dict[str, Any]:
     """Returns a host graph as a JSON document.
 
     Args:
       graph: unpadded, metres.
+      attributes: what else to say of each node, of `check_attributes`.
       **extra: what else the document should say, such as `halt_reason`; JSON values.
 
     Returns:
-      The document; node ids are row numbers.
+      The document; node ids are row numbers, unless attributes say otherwise.
     """
     names, absent = ontology_of(graph).names, dict.fromkeys(FEATURES)
     columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
+    held: Attributes = [{}] * len(graph.nodes.label) if attributes is None else attributes
+    ids = node_ids(held)
     nodes = [
-        {"id": row, "label": names[label], "position": position, **absent, **owned}
-        for row, (label, position, owned) in enumerate(
-            zip(*columns, features_by_row(graph), strict=True)
+        {ID: name, "label": names[label], "position": position, **absent, **owned}
+        | further(others, (ID,))
+        for name, label, position, owned, others in zip(
+            ids, *columns, features_by_row(graph), held, strict=True
         )
     ]
-    edges, proximity = parts_first(graph).tolist(), undirected_edges(graph, PROXIMITY).tolist()
+    edges, proximity = (
+        [[ids[first], ids[second]] for first, second in pairs.tolist()]
+        for pairs in (parts_first(graph), undirected_edges(graph, PROXIMITY))
+    )
     optional = {"proximity_edges": proximity} if proximity else {}
     return dict(**stated(ontology_of(graph)), nodes=nodes, edges=edges, **optional, **extra)
 
 
 def graph_from_dict(document: Any, where: str = "graph") -> SceneGraph:
-    """Returns the host graph of a JSON document; keys it does not know are ignored.
+    """Returns the host graph of a JSON document, as `read_dict` does, without attributes."""
+    return read_dict(document, where).graph
+
+
+def read_dict(document: Any, where: str = "graph") -> Read:
+    """Returns the host graph of a JSON document, and further keys of its nodes.
 
     A graph that breaks the hierarchy is returned all the same: models may draw such graphs, and
     they are to be scored and looked at. `validate_graph` refuses them.
@@ -68,7 +84,7 @@ def graph_from_dict(document: Any, where: str = "graph") -> SceneGraph:
     proximity = _pairs(document, "proximity_edges", row_of_id, where)
     graph = graph_of(rows, ontology, part_of, proximity)
     validate_graph(graph, where, rules=False)
-    return graph
+    return Read(graph, [further(node, OWN) for node in nodes])
 
 
 def _node(node: Any, ontology: Ontology, where: str) -> Record:
@@ -88,12 +104,8 @@ def _node(node: Any, ontology: Ontology, where: str) -> Record:
 def _rows_by_id(nodes: list[dict[str, Any]], where: str) -> dict[int | str, int]:
     row_of_id: dict[int | str, int] = {}
     for row, node in enumerate(nodes):
-        name = node["id"]
-        if isinstance(name, bool) or not isinstance(name, (int, str)):
-            raise ValueError(f"{where}: nodes[{row}].id is {name!r:.40}, expected an integer")
-        if name in row_of_id:
-            raise ValueError(f"{where}: nodes[{row}].id is {name!r:.40} again, expected unique ids")
-        row_of_id[name] = row
+        check_id(node[ID], row_of_id, f"{where}: nodes[{row}]")
+        row_of_id[node[ID]] = row
     return row_of_id
 
 

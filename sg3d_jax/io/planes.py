@@ -4,22 +4,23 @@ JSON: `{"planes": [{"centroid": [x, y, z], "normal": [x, y, z], "width": w}, ...
 has an `ontology`, there is such a list for every concept that is observed, under its layer's name
 in lower case, and what is in it has the features of the concept.
 CSV: a header `cx,cy,cz,nx,ny,nz,width`, in any order, then one plane a row. All in metres; normals
-point into the room. Numbers are kept as they are given, so that planes leave as they came, but for
-normals off unit length by rounding to two decimals, which are brought to it.
+point into the room. Numbers are kept as they are given: what can be mended is mended on the way
+into `complete`. Further keys and columns, such as `id`, are attributes (`io.attributes`).
 """
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from sg3d_jax.io.attributes import ID, Read, further
 from sg3d_jax.io.files import read_text, vector, write_document
 from sg3d_jax.io.records import Record, feature, features_by_row, graph_of, ontology_in, stated
 from sg3d_jax.scene.graph import Array, SceneGraph, make_graph, observed_of, ontology_of
 from sg3d_jax.scene.ontology import FEATURES, PAPER_ONTOLOGY, Concept, Ontology
-from sg3d_jax.scene.validate import checked_observed
+from sg3d_jax.scene.validate import check_observed
 
 COLUMNS: Final = ("cx", "cy", "cz", "nx", "ny", "nz", "width")
 
@@ -65,18 +66,42 @@ def _array(values: Array, where: str) -> np.ndarray:
         raise ValueError(f"{where} is no array of numbers, expected a row a plane") from error
 
 
-def planes_from_csv(path: str | Path) -> SceneGraph:
-    """Returns the planes of a CSV file as a host graph without edges.
+def read_csv(path: str | Path) -> Read:
+    """Returns the planes of a CSV file as a host graph without edges, and its further columns.
+
+    A further column without a name is left out, and so are its empty cells; what reads like a
+    number is one.
 
     Raises:
       ValueError: one sentence that names the file, the line or plane, and the field.
     """
-    table = np.array(_read_rows(path), np.float64).reshape(-1, len(COLUMNS))
-    return checked_observed(planes(table[:, :3], table[:, 3:6], table[:, 6]), f"{path}")
+    lines = _lines(path)
+    header = [cell.strip() for cell in lines[0][1]]
+    for problem, names in _header_problems(header).items():
+        if names:
+            expected = ",".join(COLUMNS)
+            raise ValueError(f"{path}: {problem} column {names[0]!r:.40}, expected {expected}")
+    records = [
+        dict(zip(header, _cells(cells, len(header), f"{path}: line {line}"), strict=True))
+        for line, cells in lines[1:]
+    ]
+    rows = [
+        [_number(record[column], f"{path}: line {line}: {column}") for column in COLUMNS]
+        for (line, _), record in zip(lines[1:], records, strict=True)
+    ]
+    table = np.array(rows, np.float64).reshape(-1, len(COLUMNS))
+    graph = planes(table[:, :3], table[:, 3:6], table[:, 6])
+    check_observed(graph, f"{path}")
+    return Read(graph, [_attributes(record) for record in records])
 
 
 def planes_from_dict(document: Any, where: str) -> SceneGraph:
-    """Returns the planes of `{"planes": [...]}` as a host graph without edges.
+    """Returns the planes of a document as `read_planes_dict` does, without attributes."""
+    return read_planes_dict(document, where).graph
+
+
+def read_planes_dict(document: Any, where: str) -> Read:
+    """Returns the planes of `{"planes": [...]}` as a host graph without edges, and further keys.
 
     Args:
       document: parsed JSON, not yet trusted; with an `ontology`, a list for every concept that is
@@ -97,8 +122,8 @@ def planes_from_dict(document: Any, where: str) -> SceneGraph:
         if concept.observed
     }
     expected = ("ontology", *lists) if "ontology" in about else (*lists,)
-    _check_keys(document, expected, f"{where}: the scene")
-    records = []
+    _check_keys(document, expected, f"{where}: the scene", exactly=True)
+    records, attributes = [], []
     for key, (label, concept) in lists.items():
         if not isinstance(document[key], list):
             raise ValueError(f"{where}: {key} is no list, expected a list of {key}")
@@ -106,7 +131,11 @@ def planes_from_dict(document: Any, where: str) -> SceneGraph:
             _record(item, label, concept, f"{where}: {key}[{index}]")
             for index, item in enumerate(document[key])
         ]
-    return checked_observed(graph_of(records, ontology), where)
+        known = ("centroid", *concept.features)
+        attributes += [further(item, known) for item in document[key]]
+    graph = graph_of(records, ontology)
+    check_observed(graph, where)
+    return Read(graph, attributes)
 
 
 def planes_to_dict(graph: SceneGraph) -> dict[str, Any]:
@@ -133,52 +162,65 @@ def _record(item: Any, label: int, concept: Concept, where: str) -> Record:
     return Record(label, centroid, features)
 
 
-def _check_keys(item: Any, expected: Sequence[str], where: str) -> None:
+def _check_keys(item: Any, expected: Sequence[str], where: str, exactly: bool = False) -> None:
     names = ", ".join(expected)
     if not isinstance(item, dict):
         raise ValueError(f"{where} is {item!r:.40}, expected an object with {names}")
-    for problem, keys in (("lacks", set(expected) - set(item)), ("has", set(item) - set(expected))):
-        if keys:
-            raise ValueError(f"{where} {problem} {min(keys)!r:.40}, expected exactly {names}")
+    known = f"exactly {names}" if exactly else names
+    if lacking := [key for key in expected if key not in item]:
+        raise ValueError(f"{where} lacks {lacking[0]!r:.40}, expected {known}")
+    others = further(item, expected)
+    if odd := [key for key in others if exactly or key in FEATURES]:
+        raise ValueError(f"{where} has {min(odd)!r:.40}, expected {known}")
 
 
-def _read_rows(path: str | Path) -> list[list[float]]:
-    """Returns the rows of a CSV file, their cells in the order of `COLUMNS`."""
+def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
+    """Returns the lines of a CSV file that are not empty, at least one, with their numbers."""
     reader = csv.reader(read_text(path).split("\n"), strict=True)
     try:
         lines = [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
     except csv.Error as error:
         raise ValueError(f"{path}: line {reader.line_num} is not CSV ({error})") from error
-    expected = ",".join(COLUMNS)
     if not lines:
-        raise ValueError(f"{path}: the file is empty, expected a header {expected}")
-    header = [cell.strip() for cell in lines[0][1]]
-    for problem, names in _header_problems(header).items():
-        if names:
-            raise ValueError(f"{path}: {problem} column {names[0]!r:.40}, expected {expected}")
-    order = [header.index(column) for column in COLUMNS]
-    return [_cells(cells, order, f"{path}: line {line}") for line, cells in lines[1:]]
+        raise ValueError(f"{path}: the file is empty, expected a header {','.join(COLUMNS)}")
+    return lines
 
 
 def _header_problems(header: list[str]) -> dict[str, list[str]]:
     return {
-        "unknown": [name for name in header if name not in COLUMNS],
         "missing": [name for name in COLUMNS if name not in header],
-        "repeated": [name for name in COLUMNS if header.count(name) > 1],
+        "repeated": [name for name in header if name and header.count(name) > 1],
     }
 
 
-def _cells(cells: list[str], order: list[int], where: str) -> list[float]:
-    if len(cells) != len(order):
-        raise ValueError(f"{where} has {len(cells)} cells, expected {len(order)}")
-    return [
-        _cell(cells[place], f"{where}: {column}")
-        for column, place in zip(COLUMNS, order, strict=True)
-    ]
+def _cells(cells: list[str], count: int, where: str) -> list[str]:
+    if len(cells) != count:
+        raise ValueError(f"{where} has {len(cells)} cells, expected {count}")
+    return [cell.strip() for cell in cells]
 
 
-def _cell(text: str, where: str) -> float:
+def _number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError as error:
         raise ValueError(f"{where} is {text!r:.40}, expected a number") from error
+
+
+def _attributes(record: dict[str, str]) -> dict[str, int | float | str]:
+    """Returns the further columns of a row."""
+    cells = further(record, ("", *COLUMNS)).items()
+    return {
+        name: _value(text, (int,) if name == ID else (int, float)) for name, text in cells if text
+    }
+
+
+def _value(text: str, kinds: Sequence[Callable[[str], float]]) -> int | float | str:
+    """Returns a number whose digits are those of a text; else the text."""
+    for kind in kinds:
+        try:
+            value = kind(text)
+        except ValueError:
+            continue
+        if str(value) == text and value - value == 0:  # finite: nan and inf are no JSON
+            return value
+    return text

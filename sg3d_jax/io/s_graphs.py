@@ -21,14 +21,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from sg3d_jax.io.attributes import ID, Read
 from sg3d_jax.io.files import field, number
 from sg3d_jax.io.planes import planes
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
-from sg3d_jax.scene.validate import INTAKE_UNIT_TOLERANCE, checked_observed, validate_graph
+from sg3d_jax.scene.validate import check_observed, validate_graph
 
 AXES: Final = ("x_planes", "y_planes")  # by the larger part of the normal
-MAX_LEAN: Final = 0.5  # |z| of a unit normal: 30 degrees off the vertical is no wall any more
 MIN_STOREY: Final = 0.5  # metres; S-Graphs takes floors less apart for one
 ON_STAIRS: Final = 1  # FloorData.state: tells of a climb, not of a floor
 HEADER: Final = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
@@ -45,11 +45,16 @@ class _Part(NamedTuple):
 
 
 def planes_from_message(message: Any, where: str = "message") -> SceneGraph:
-    """Returns the planes of a PlanesData message as a host graph without edges.
+    """Returns the planes of a PlanesData message as `read_message` does, without attributes."""
+    return read_message(message, where).graph
 
-    The normal is made horizontal. The width is the extent of the points along the wall. The
-    centroid is the mean of the points, but along the wall it is the middle of their extent.
-    Planes without points, which S-Graphs sends and its own reasoning skips too, are left out.
+
+def read_message(message: Any, where: str = "message") -> Read:
+    """Returns the planes of a PlanesData message as a host graph without edges, and their ids.
+
+    The width is the extent of the points along the wall. The centroid is the mean of the points,
+    but along the wall it is the middle of their extent. Planes without points, which S-Graphs sends
+    and its own reasoning skips too, are left out.
 
     Args:
       message: a parsed PlanesData, not yet trusted; metres.
@@ -59,13 +64,13 @@ def planes_from_message(message: Any, where: str = "message") -> SceneGraph:
       Planes in the order of their ids.
 
     Raises:
-      ValueError: one sentence that names the plane, the field and what was expected. A floor or
-        ceiling is refused: S-Graphs never has one among its x_planes and y_planes.
+      ValueError: one sentence that names the plane, the field and what was expected.
 
     Differs: the authors take half the sum of two extreme points and set z to zero. A plain mean is
       no centroid either: a wall is seen by more points a metre where the robot is near.
     """
-    return _planes(message, where)[0]
+    graph, row_of_id = _planes(message, where)
+    return Read(graph, [{ID: name} for name in row_of_id])
 
 
 def planes_to_message(graph: SceneGraph) -> dict[str, Any]:
@@ -201,34 +206,36 @@ def _planes(message: Any, where: str) -> tuple[SceneGraph, dict[int, int]]:
             seen[name] = _plane(record, here)
     rows = {name: row for name, row in sorted(seen.items()) if row is not None}
     table = np.array([*rows.values()], np.float64).reshape(-1, 7)
-    graph = checked_observed(planes(table[:, :3], table[:, 3:6], table[:, 6]), where)
+    graph = planes(table[:, :3], table[:, 3:6], table[:, 6])
+    check_observed(graph, where)
     return graph, {name: row for row, name in enumerate(rows)}
 
 
 def _plane(record: dict[str, Any], where: str) -> np.ndarray | None:
     """Returns centroid, normal and width, float64[7]; None if there are no points."""
     normal = np.array([_finite(record, key, where) for key in ("nx", "ny", "nz")])
-    with np.errstate(over="ignore"):
-        length = float(np.linalg.norm(normal))
-    if abs(length - 1) > INTAKE_UNIT_TOLERANCE:
-        held = ", ".join(f"{part:.6g}" for part in normal)
-        raise ValueError(f"{where} has the normal [{held}], expected length 1")
-    if abs(normal[2]) > MAX_LEAN:
-        raise ValueError(f"{where}.nz is {normal[2]:.6g}, expected the normal of a vertical plane")
+    if not normal.any():
+        raise ValueError(f"{where} has the normal [0, 0, 0], expected length 1")
     points = _list(record, "plane_points", where)
     if not points:
         return None
     inside = f"{where}.plane_points"
     cloud = np.array([_point(point, f"{inside}[{i}]") for i, point in enumerate(points)])
-    x, y = normal[:2] / np.linalg.norm(normal[:2])
-    along = np.array([-y, x, 0.0])
+    along = _along(normal)
     with np.errstate(over="ignore", invalid="ignore"):  # validated as centroid and width
         reach, mean = cloud @ along, cloud.mean(axis=0)
         centroid = mean + along * ((reach.min() + reach.max()) / 2 - mean @ along)
         width = np.ptp(reach)
     if width == 0:
         raise ValueError(f"{inside} is no longer than a point, expected points along a wall")
-    return np.array([*centroid, x, y, 0.0, width])
+    return np.array([*centroid, *normal, width])
+
+
+def _along(normal: np.ndarray) -> np.ndarray:
+    """Returns the horizontal direction in which a plane runs, float64[3]; any of a level one."""
+    x, y = normal[:2] / max(np.abs(normal).max(), np.finfo(float).tiny)
+    length = np.hypot(x, y)
+    return np.array([-y / length, x / length, 0.0]) if length else np.array([1.0, 0.0, 0.0])
 
 
 def _parts(
@@ -283,7 +290,7 @@ def _assembled(
             pairs.append((row, num_planes + len(parts) + nearest))
     label, position = [node.label for node in nodes], [node.position for node in nodes]
     graph = extended(planes, label, np.array(position, np.float64), np.array(pairs, np.int32))
-    validate_graph(graph, where)
+    validate_graph(graph, where, rules=False)  # edges are right by how they were made
     return graph
 
 
@@ -354,10 +361,10 @@ def _planes_by_parent(graph: SceneGraph) -> dict[int, list[int]]:
 def _plane_records(graph: SceneGraph) -> dict[int, dict[str, Any]]:
     """Returns a PlaneData for every plane, by row."""
     position, normal, width = graph.nodes.position, graph.nodes.normal, graph.nodes.width
-    half = np.cross(np.array([0.0, 0.0, 1.0]), normal) * width[:, None] / 2
     records = {}
     for row in _rows(graph, PLANE):
         nx, ny, nz = normal[row].tolist()
+        half = _along(normal[row]) * width[row] / 2
         records[row] = {
             "header": HEADER,
             "id": row,
@@ -366,7 +373,7 @@ def _plane_records(graph: SceneGraph) -> dict[int, dict[str, Any]]:
             "nz": nz,
             "d": -float(normal[row] @ position[row]),
             "plane_orientation": _xyz(normal[row]),
-            "plane_points": [_xyz(position[row] + end) for end in (-half[row], half[row])],
+            "plane_points": [_xyz(position[row] + end) for end in (-half, half)],
         }
     return records
 

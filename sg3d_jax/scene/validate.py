@@ -4,19 +4,15 @@ Every refusal is a `ValueError` of one sentence: where, which node or plane (cou
 field, what it holds, and what was expected.
 """
 
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from sg3d_jax.scene.graph import FEATURES, SceneGraph, ontology_of
-from sg3d_jax.scene.ontology import NUM_RELATIONS, PART_OF, RELATIONS
+from sg3d_jax.scene.ontology import NUM_RELATIONS, PART_OF, RELATIONS, Ontology
 
-GRAPH_UNIT_TOLERANCE: Final = 1e-3
-INTAKE_UNIT_TOLERANCE: Final = 1e-2  # users round their normals to two decimals
-MAX_TILT: Final = 0.05  # |z| of a unit normal, about 3 degrees from vertical planes
+UNIT_TOLERANCE: Final = 1e-3
 LEAST_OBSERVED: Final = 2
-DUPLICATE_DECIMALS: Final = 6  # micrometres
 MAX_MEDIAN_WIDTH: Final = 100.0  # metres; a median wall of 100 m is 10 cm in millimetres
 MAX_EXTENT: Final = 2000.0  # metres
 
@@ -28,25 +24,25 @@ def validate_graph(graph: SceneGraph, where: str, rules: bool = True) -> None:
       graph: unpadded numpy graph, metres.
       where: what the sentence starts with, such as "scenes.npz: graph 3".
       rules: whether edges must respect the hierarchy: the rules of the ontology, and proximity
-        between observed nodes only. A generated graph may break it and is still to be drawn and
-        scored.
+        between observed nodes only; and whether normals must have length 1, and not any but zero.
+        A graph that was generated or observed may break either, and is still to be drawn, scored
+        and grown from.
 
     Raises:
       ValueError: one sentence that names the field and what was expected.
     """
     _check_shapes(graph, where)
-    _check_nodes(graph, where)
+    _check_nodes(graph, where, rules)
     _check_edges(graph, where)
     if rules:
         _check_rules(graph, where)
 
 
-def checked_observed(graph: SceneGraph, where: str) -> SceneGraph:
-    """Returns a host graph whose observed nodes a scene graph can be grown from, or refuses it.
+def check_observed(graph: SceneGraph, where: str) -> None:
+    """Refuses a host graph from whose observed nodes nothing can be grown.
 
-    The one check of what is observed, for every reader and for `complete`. A normal that is off
-    unit length by as much as rounding to two decimals makes it is brought to it; one that is right
-    stays as it is, bit for bit.
+    The one check of what is observed, for every reader and for `complete`: numbers that are none,
+    normals that point nowhere. What can be mended is mended on the way in (`infer.intake`).
 
     Args:
       graph: unpadded; what is not observed is not looked at.
@@ -62,25 +58,37 @@ def checked_observed(graph: SceneGraph, where: str) -> SceneGraph:
     _refuse(where, "nodes", "label", label, ~_is_known(graph), _known_labels(graph))
     kinds = [kind for kind in range(ontology.num_concepts) if ontology.is_observed[kind]]
     observed = np.isin(label, kinds)
-    plural = ontology.observed_plural
-    if observed.sum() < LEAST_OBSERVED:
-        held = f"one {ontology.names[label[observed][0]]}" if observed.any() else f"no {plural}"
-        raise ValueError(f"{where}: {plural} holds {held}, expected at least two to group")
+    check_count(label[observed], ontology, where)
     for kind in kinds:
-        concept, rows = ontology.concepts[kind], label == kind
-        _check_intake(graph, rows, concept.features, where, concept.layer.lower())
+        concept = ontology.concepts[kind]
+        _check_intake(graph, label == kind, concept.features, where, concept.layer.lower())
     _check_featureless(graph, observed, where)
-    _check_metres(position[observed], np.asarray(nodes.width)[observed], where, plural)
-    length = np.linalg.norm(nodes.normal, axis=-1, keepdims=True)
-    off = observed[:, None] & (length > 0) & (np.abs(length - 1) > GRAPH_UNIT_TOLERANCE)
-    normal = np.where(off, nodes.normal / np.where(off, length, 1.0), nodes.normal)
-    return graph._replace(nodes=nodes._replace(normal=normal)) if off.any() else graph
+    width = np.asarray(nodes.width)[observed]
+    _check_metres(position[observed], width, where, ontology.observed_plural)
+
+
+def check_count(label: np.ndarray, ontology: Ontology, where: str, without: str = "") -> None:
+    """Refuses fewer observed nodes than can be grouped.
+
+    Args:
+      label: int[n], of what is observed.
+      ontology: the concepts.
+      where: what the sentence starts with.
+      without: what became of others, such as ", having left out 3".
+
+    Raises:
+      ValueError: there are fewer than two.
+    """
+    if len(label) < LEAST_OBSERVED:
+        plural = ontology.observed_plural
+        held = f"one {ontology.names[label[0]]}" if len(label) else f"no {plural}"
+        raise ValueError(f"{where}: {plural} holds {held}{without}, expected at least two to group")
 
 
 def _check_intake(
     graph: SceneGraph, rows: np.ndarray, features: tuple[str, ...], where: str, plural: str
 ) -> None:
-    """Refuses observed nodes of one concept that are nowhere, lean, or have no extent."""
+    """Refuses observed nodes of one concept that are nowhere, or whose features make no sense."""
     columns = {"centroid": graph.nodes.position} | {
         name: getattr(graph.nodes, name) for name in features
     }
@@ -89,15 +97,10 @@ def _check_intake(
         _refuse(where, plural, name, values, ~np.isfinite(values), "finite numbers")
     if "normal" in features:
         normal = columns["normal"]
-        skewed = ~_is_unit(normal, INTAKE_UNIT_TOLERANCE)
-        _refuse(where, plural, "normal", normal, skewed, "length 1")
-        tilted = np.abs(normal[:, 2]) > MAX_TILT
-        expected = f"|z| <= {MAX_TILT}, as of vertical {plural}"
-        _refuse(where, plural, "normal", normal, tilted, expected)
+        _refuse(where, plural, "normal", normal, ~normal.any(axis=-1), "length 1")
     if "width" in features:
         width = columns["width"]
-        _refuse(where, plural, "width", width, width <= 0, "more than zero metres")
-    _check_duplicates(columns, where, plural)
+        _refuse(where, plural, "width", width, width < 0, "zero metres or more")
 
 
 def _check_shape(where: str, name: str, array: np.ndarray, expected: tuple[int, ...]) -> None:
@@ -126,7 +129,7 @@ def _check_shapes(graph: SceneGraph, where: str) -> None:
         raise ValueError(f"{where}: mask has False entries, expected an unpadded graph")
 
 
-def _check_nodes(graph: SceneGraph, where: str) -> None:
+def _check_nodes(graph: SceneGraph, where: str, unit: bool) -> None:
     nodes, ontology = graph.nodes, ontology_of(graph)
     label = np.asarray(nodes.label)
     if not len(label):
@@ -137,8 +140,8 @@ def _check_nodes(graph: SceneGraph, where: str) -> None:
         _refuse(where, "nodes", name, values, ~np.isfinite(values), "finite numbers")
     facing, wide = (ontology.has(name)[label] for name in ("normal", "width"))
     normal, width = np.asarray(nodes.normal), np.asarray(nodes.width)
-    skewed = facing & ~_is_unit(normal, GRAPH_UNIT_TOLERANCE)
-    _refuse(where, "nodes", "normal", normal, skewed, "length 1")
+    skewed = ~_is_unit(normal) if unit else ~normal.any(axis=-1)
+    _refuse(where, "nodes", "normal", normal, facing & skewed, "length 1")
     _refuse(where, "nodes", "width", width, wide & (width < 0), "zero metres or more")
     _check_featureless(graph, np.ones(len(label), bool), where)
     wrong = np.asarray(nodes.observed) != ontology.is_observed[label]
@@ -207,24 +210,9 @@ def _check_metres(position: np.ndarray, width: np.ndarray, where: str, plural: s
         )
 
 
-def _check_duplicates(columns: Mapping[str, np.ndarray], where: str, plural: str) -> None:
-    rows = np.column_stack([*columns.values()])
-    with np.errstate(over="ignore"):  # what is too far off is refused as no metres
-        rounded = np.round(rows, DUPLICATE_DECIMALS) + 0.0  # + 0.0 makes -0.0 and 0.0 the same
-    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    original = first[group.reshape(-1)]
-    repeats = np.flatnonzero(original != np.arange(len(rows)))
-    if repeats.size:
-        *most, last = columns
-        raise ValueError(
-            f"{where}: {plural}[{repeats[0]}] repeats {plural}[{original[repeats[0]]}], expected a "
-            f"different {', '.join(most)}{' or ' if most else ''}{last}"
-        )
-
-
-def _is_unit(normal: np.ndarray, tolerance: float) -> np.ndarray:
+def _is_unit(normal: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):
-        return np.abs(np.linalg.norm(normal, axis=-1) - 1) <= tolerance
+        return np.abs(np.linalg.norm(normal, axis=-1) - 1) <= UNIT_TOLERANCE
 
 
 def _rows_with_any(array: np.ndarray) -> np.ndarray:

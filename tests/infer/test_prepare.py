@@ -3,11 +3,12 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.infer.prepare import finished, prepare
+from sg3d_jax.io.planes import planes
 from sg3d_jax.scene.graph import extended, observed_of, subgraph, undirected_edges
-from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PART_OF, PROXIMITY
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PART_OF, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Capacity, moved_by, pad
 from tests.own_world import ONTOLOGY, own_world
-from tests.two_rooms import NUM_PLANES, two_rooms
+from tests.two_rooms import NUM_PLANES, planes_of_room, two_rooms
 
 FAR = np.array([5e5, 5e6, 300.0])  # metres, as of a map projection
 
@@ -69,7 +70,11 @@ def with_entry(name, value):
         (with_entry("position", np.nan), r"scene 0: planes\[3\].centroid is .*nan.*finite"),
         (with_entry("normal", np.inf), r"scene 0: planes\[3\].normal is .*inf.*finite"),
         (with_entry("width", np.nan), r"scene 0: planes\[3\].width is nan.*finite"),
-        (with_entry("width", -1.0), r"scene 0: planes\[3\].width is -1.*more than zero"),
+        (with_entry("width", -1.0), r"scene 0: planes\[3\].width is -1.*zero metres or more"),
+        (
+            changed(normal=np.zeros((8, 3))),
+            r"scene 0: planes\[0\].normal is \[0, 0, 0\], .*length 1",
+        ),
         (with_entry("label", 9), r"scene 0: nodes\[3\].label is 9, expected 0 to 5"),
         (changed(position=np.zeros((8, 2))), r"scene 0: position has shape \[8, 2\]"),
         (changed(width=np.ones(7)), r"scene 0: width has shape \[7\], expected \[8\]"),
@@ -94,6 +99,64 @@ def test_a_graph_alone_is_no_list_of_scenes():
 def test_refusals_call_scenes_by_their_names():
     with pytest.raises(ValueError, match=r"^b\.json: planes holds no planes"):
         prepare([two_rooms(), subgraph(two_rooms(), [])], PAPER_ONTOLOGY, False, ["a", "b.json"])
+
+
+def test_rows_of_the_scene_are_named_whatever_was_left_out():
+    given = two_rooms()
+    mixed = subgraph(given, [8, 3, 9, 0, 10, 1, 2, 11])  # planes among others
+    lying = np.array(mixed.nodes.normal)
+    lying[3] = [0, 0, 1]
+    mixed = mixed._replace(nodes=mixed.nodes._replace(normal=lying))
+    for keep, source in ((False, [1, 5, 6]), (True, [0, 1, 2, 4, 5, 6, 7])):
+        (scene,) = prepared(mixed, keep=keep)
+        assert scene.source.tolist() == source
+        npt.assert_array_equal(scene.given.nodes.position, mixed.nodes.position[source])
+        assert scene.num_missing == (0 if keep else 4)  # what lies is no part of what is missing
+        assert "left out 1 plane (lean of more than 15 degrees)" in scene.remarks
+
+
+def shared_wall():
+    """Two rooms along one plane, of which a robot has made one; the other sides are of one room."""
+    west, east = planes_of_room(0, 4, 0, 3), planes_of_room(4.2, 8.2, 0, 3)
+    centroid, normal, width = (
+        np.array([*one[:3], *other[:3]]) for one, other in zip(west, east, strict=True)
+    )
+    long = np.array([4.1, 3.0]), np.array([0.0, -1.0]), 8.2
+    position, normal = (
+        np.pad(np.vstack([values, more]), [(0, 0), (0, 1)])
+        for values, more in ((centroid, long[0]), (normal, long[1]))
+    )
+    return planes(position, normal, [*width, long[2]])
+
+
+def test_a_plane_that_rooms_share_is_cut_and_comes_back_whole():
+    given = shared_wall()
+    (scene,) = prepared(given)
+    assert scene.remarks == ("cut 1 of 7 planes where others abut on them, and joined them again",)
+    assert len(scene.centred.nodes.label) == 8
+    rooms = [[8.0, 0, 0], [9.0, 0, 0]]  # of the first piece, and of the second
+    grown = extended(scene.centred, [ROOM, ROOM], rooms, [[6, 8], [7, 9], [0, 8]])
+    back = finished(scene, grown)
+    for found, expected in zip(observed_of(back).nodes, given.nodes, strict=True):
+        npt.assert_array_equal(found, expected)
+    npt.assert_array_equal(undirected_edges(back, PART_OF), [[0, 7], [6, 7], [6, 8]])
+    npt.assert_allclose(back.nodes.position[7:], scene.centre + rooms)
+    (scene,) = prepare([given], PAPER_ONTOLOGY, False, cut="never")
+    assert scene.remarks == ()
+    assert len(scene.centred.nodes.label) == 7
+
+
+def test_a_plane_whose_room_is_known_is_not_cut():
+    known = extended(shared_wall(), [ROOM], [[2.0, 1.5, 0.0]], [[6, 7]])
+    (scene,) = prepared(known, keep=True)
+    assert scene.remarks == ()
+    assert scene.pieces is None
+
+
+@pytest.mark.parametrize("option", ["normals", "cut"])
+def test_unknown_choices_are_refused(option):
+    with pytest.raises(ValueError, match=rf"{option} is 'yes', expected \w+ or [\w-]+$"):
+        prepare([two_rooms()], PAPER_ONTOLOGY, False, **{option: "yes"})
 
 
 def test_normals_of_two_decimals_are_brought_to_unit_length_and_others_left_alone():

@@ -164,7 +164,7 @@ def cyclic():
         (changed(authors_graph(), 7, center="abc"), "center is 'abc', expected three numbers"),
         (changed(authors_graph(), 7, length=True), "length is True, expected a number"),
         (changed(authors_graph(), 7, length=-1), r"nodes\[0\].width is -1, expected"),
-        (changed(authors_graph(), 7, normal=[0, 0, 2]), r"nodes\[0\].normal is .*expected length"),
+        (changed(authors_graph(), 7, normal=[0, 0, 0]), r"nodes\[0\].normal is .*expected length"),
         (changed(authors_graph(), 7, limits=[["a", 0, 0], [0, 0, 0]]), "limits is 'a', expected a"),
         (changed(authors_graph(), 2, center=[0, np.nan, 0]), r"nodes\[1\].position is \[0, nan"),
         (changed(to_networkx(one_room()), 0, "width"), "node 0 lacks 'width', expected"),

@@ -370,7 +370,7 @@ BROKEN = [
     ("ws", {"length": "2"}, "length is '2', expected a number"),
     ("ws", {"length": -1.0}, ".width is -1, expected zero metres or more"),
     ("ws", {"length": np.nan}, ".width is nan, expected finite numbers"),
-    ("ws", {"normal": np.ones(3)}, ".normal is [1, 1, 1], expected length 1"),
+    ("ws", {"normal": np.zeros(3)}, ".normal is [0, 0, 0], expected length 1"),
     ("room", {"center": [0.0, np.inf, 0.0]}, ".position is [0, inf, 0], expected finite"),
     ("floor", {"type": "ws"}, "lacks 'length'"),
     ("floor", {"type": "wall"}, "joins wall and room, expected two that are observed, or a part"),

@@ -1,0 +1,173 @@
+"""How sure a graph is: nothing is doubted of complete ones, and what is missing is counted."""
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from sg3d_jax.data import registry
+from sg3d_jax.infer.confidence import Confidence, judged
+from sg3d_jax.metrics.oddities import Odd, Oddity, oddities
+from sg3d_jax.scene.graph import SceneGraph, features_of, make_graph, subgraph, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PART_OF, PLANE, ROOM, Ontology
+from tests.own_world import own_world
+from tests.two_rooms import NUM_PLANES, PART_OF_PAIRS, two_rooms
+
+SURE = Confidence(0.0, 0.0, 0.0, None)
+WEST, EAST, TOP = 9, 10, 11  # both rooms and the floor
+
+
+def without(graph: SceneGraph, *lost: tuple[int, int]) -> SceneGraph:
+    """Returns a graph without some of its part-of edges."""
+    pairs = [pair for pair in undirected_edges(graph, PART_OF).tolist() if tuple(pair) not in lost]
+    nodes = graph.nodes
+    return make_graph(nodes.label, nodes.position, **features_of(graph), part_of=pairs)
+
+
+def alone(graph):
+    [judgement] = judged([graph], NUM_PLANES)
+    return judgement
+
+
+@pytest.mark.parametrize("name", ["s-f", "s-b", "s-c"])
+def test_complete_graphs_are_sure(name):
+    for graph in registry.make(name, 5):
+        num_given = int(graph.nodes.observed.sum())
+        assert judged([graph], num_given) == [(SURE, ())]
+        assert judged([graph, graph], num_given) == [(SURE._replace(agreement=1.0), ())] * 2
+
+
+def test_complete_graphs_of_other_concepts_are_sure():
+    assert alone(own_world()) == (SURE, ())
+
+
+def test_planes_without_a_room_are_counted():
+    confidence, remarks = alone(without(two_rooms(), (0, WEST), (5, EAST), (7, EAST)))
+    assert confidence == SURE._replace(unplaced=3 / 8)
+    assert remarks == ("unsure: 3 of 8 planes without a room",)
+
+
+def test_a_plane_with_a_wall_alone_has_no_room():
+    confidence, _ = alone(without(two_rooms(), (1, WEST)))
+    assert confidence == SURE._replace(unplaced=1 / 8)
+
+
+def test_where_no_whole_is_single_any_will_do():
+    plane, wall = PAPER_ONTOLOGY.concepts[:2]
+    walls = Ontology((plane, wall), PAPER_ONTOLOGY.rules[:1])
+    nodes = subgraph(two_rooms(), range(9), edges=False).nodes
+    fields = (nodes.label, nodes.position, nodes.normal, nodes.width)
+    confidence, remarks = alone(make_graph(*fields, [[1, 8], [4, 8]], ontology=walls))
+    assert confidence == SURE._replace(unplaced=6 / 8)
+    assert remarks == ("unsure: 6 of 8 planes without a wall",)
+
+
+def test_rooms_without_a_floor_are_counted():
+    confidence, remarks = alone(without(two_rooms(), (EAST, TOP)))
+    assert confidence == SURE._replace(loose=1 / 3)
+    assert remarks == ("unsure: 1 of 2 rooms without a floor",)
+
+
+def test_without_any_floor_all_rooms_but_one_are_without():
+    confidence, remarks = alone(subgraph(two_rooms(), range(TOP)))
+    assert confidence == SURE._replace(loose=1 / 2)
+    assert remarks == ("unsure: 1 of 2 rooms without a floor",)
+
+
+def test_two_tops_are_one_too_many():
+    cities = registry.make("s-c", 2)
+    counts = [len(city.nodes.label) for city in cities]
+    columns = [
+        np.concatenate([getattr(city.nodes, field) for city in cities])
+        for field in ("label", "position", "normal", "width")
+    ]
+    pairs = [undirected_edges(city, PART_OF) for city in cities]
+    both = make_graph(*columns, part_of=np.concatenate([pairs[0], pairs[1] + counts[0]]))
+    [(confidence, remarks)] = judged([both], 0)
+    assert 0 < confidence.loose < 0.2
+    assert remarks == ("unsure: 1 of 2 cities too many",)
+
+
+def test_rooms_and_walls_of_one_plane_are_counted():
+    lost = [(plane, EAST) for plane in (5, 6, 7)]
+    confidence, remarks = alone(without(two_rooms(), *lost, (1, 8)))
+    assert confidence.thin == 2 / 3
+    assert set(remarks) == {
+        "unsure: 1 of 1 walls with fewer than 2 planes",
+        "unsure: 1 of 2 rooms with fewer than 2 planes",
+        "unsure: 3 of 8 planes without a room",
+    }
+
+
+def test_a_graph_of_planes_alone_is_sure_of_nothing():
+    confidence, _ = alone(subgraph(two_rooms(), range(NUM_PLANES)))
+    assert confidence == SURE._replace(unplaced=1.0)
+
+
+@pytest.mark.parametrize("index", range(10))
+def test_shares_are_those_of_oddities(index):
+    """Where a graph has its floor, what lacks a whole is what `sg3d data check` finds odd."""
+    graph, rng = registry.make("s-f", 10)[index], np.random.default_rng(index)
+    label = graph.nodes.label
+    pairs = undirected_edges(graph, PART_OF)
+    torn = without(graph, *map(tuple, pairs[rng.random(len(pairs)) < 0.2].tolist()))
+    found = oddities(torn)
+    [(confidence, _)] = judged([torn], 0)
+    odd_planes = found[Odd(Oddity.WITHOUT_WHOLE, "plane", "room")]
+    odd_rooms = found[Odd(Oddity.WITHOUT_WHOLE, "room", "floor")]
+    npt.assert_allclose(confidence.unplaced, odd_planes / np.sum(label == PLANE))
+    above = np.sum((label == ROOM) | (label == FLOOR))
+    npt.assert_allclose(confidence.loose, odd_rooms / above)
+
+
+def grown(*rooms: tuple[int, ...]) -> SceneGraph:
+    """Returns the planes of two rooms with other rooms over them, and their floor."""
+    label = [PLANE] * NUM_PLANES + [ROOM] * len(rooms) + [FLOOR]
+    first = NUM_PLANES
+    pairs = [(plane, first + i) for i, room in enumerate(rooms) for plane in room]
+    pairs += [(first + i, first + len(rooms)) for i in range(len(rooms))]
+    nodes = two_rooms().nodes
+    position, normal = np.zeros((2, len(label), 3))
+    position[:first], normal[:first] = nodes.position[:first], nodes.normal[:first]
+    width = np.pad(nodes.width[:first], (0, len(label) - first))
+    return make_graph(label, position, normal, width, pairs)
+
+
+def test_agreement_is_what_samples_share():
+    west, east = (0, 1, 2, 3), (4, 5, 6, 7)
+    right, wrong, one = grown(west, east), grown(west, (4, 5), (6, 7)), grown(west + east)
+    agreements = [confidence.agreement for confidence, _ in judged([right, wrong, one], NUM_PLANES)]
+    # Right and wrong share a room and the floor, of three and four nodes; the floor alone is shared
+    # with the third, of two.
+    between = {"right wrong": 4 / 7, "right one": 2 / 5, "wrong one": 2 / 6}
+    npt.assert_allclose(
+        agreements,
+        [
+            (between["right wrong"] + between["right one"]) / 2,
+            (between["right wrong"] + between["wrong one"]) / 2,
+            (between["right one"] + between["wrong one"]) / 2,
+        ],
+    )
+
+
+def test_agreement_does_not_depend_on_the_order_of_what_was_grown_nor_count_what_was_given():
+    east, west = grown((4, 5, 6, 7), (0, 1, 2, 3)), grown((0, 1, 2, 3), (4, 5, 6, 7))
+    assert [c.agreement for c, _ in judged([east, west], NUM_PLANES)] == [1.0, 1.0]
+    other = grown((0, 1, 2, 3), (4, 5), (6, 7))
+    kept = NUM_PLANES + 1  # the west room was given
+    npt.assert_allclose([c.agreement for c, _ in judged([west, other], kept)], [2 / 5] * 2)
+
+
+def test_repeated_nodes_are_no_agreement():
+    room = (0, 1, 2, 3)
+    once, twice = grown(room, (4, 5, 6, 7)), grown(room, room)
+    npt.assert_allclose([c.agreement for c, _ in judged([once, twice], NUM_PLANES)], [2 / 6] * 2)
+
+
+def test_samples_that_differ_much_are_said():
+    right, wrong = grown((0, 1, 2, 3), (4, 5, 6, 7)), grown((0, 1, 2), (3, 4, 5), (6, 7))
+    (_, remarks), _ = judged([right, wrong], NUM_PLANES)
+    assert remarks == ("unsure: other samples have 29% of what was grown",)
+
+
+def test_the_pairs_of_the_scene_are_those_it_is_made_of():
+    npt.assert_array_equal(undirected_edges(two_rooms(), PART_OF), sorted(PART_OF_PAIRS))
