@@ -1,4 +1,4 @@
-"""The command line: `sg3d complete | view | export | train | evaluate | table | sheet | data`.
+"""The command line: `sg3d complete | view | export | train | evaluate | table | sheet | ...`.
 
 Every command delegates. A refusal is one sentence on stderr and exit code 2, with nothing written;
 with SG3D_DEBUG=1 in the environment it is a traceback instead.
@@ -11,12 +11,13 @@ import tyro
 
 import sg3d_jax
 from sg3d_jax.cli import data, provenance
+from sg3d_jax.cli.cards import weights
 from sg3d_jax.cli.files import export, view
 from sg3d_jax.cli.grow import complete, train
 from sg3d_jax.cli.scores import evaluate, sheet, table
 
 app = tyro.extras.SubcommandApp()
-for command in (complete, view, export, train, evaluate, table, sheet):
+for command in (complete, view, export, train, evaluate, table, sheet, weights):
     app.command(command)
 app.command(data.app, name="data", help="Make, import, describe, check or draw data sets.")
 

@@ -3,7 +3,7 @@
 import dataclasses
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import tyro
 
@@ -16,8 +16,8 @@ from sg3d_jax.cli.arguments import (
     check_output,
     run_code,
 )
+from sg3d_jax.train import DEFAULT_WEIGHTS
 
-DEFAULT_WEIGHTS: Final = "fd4-s-f"
 GRAPHS: Final = (".json", ".jsonl")
 
 
@@ -31,13 +31,18 @@ def complete(
     weights: str = DEFAULT_WEIGHTS,
     diffusion_steps: int | None = None,
     keep: bool = False,
+    normals: Literal["check", "as-given"] = "check",
+    cut: Literal["auto", "never"] = "auto",
     lanes: int | None = None,
     code: Code = (),
 ) -> None:
     """Complete the scene graph of observed planes.
 
+    What is mended on the way in, not plausible, or unsure is a remark on stderr and in the result.
+
     Args:
       planes: JSON, JSON Lines (a scene a line) or CSV, or graphs whose planes are taken; metres.
+        Ids and further keys of JSON and CSV are carried to the result.
       output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
       picture: also draw the first graph, as PNG, PDF or SVG.
       samples: graphs a scene.
@@ -46,11 +51,14 @@ def complete(
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
       keep: take everything in the file as given, such as rooms that are known, and grow on.
+      normals: turn those that point out of rooms all over, or take all as given.
+      cut: cut planes that rooms share where walls abut, and join the pieces again, or never.
       lanes: scenes grown together; the results do not depend on it.
       code: Python files to run first, which register the methods of your own weights.
     """
     from sg3d_jax.infer.complete import complete as complete_scenes
-    from sg3d_jax.io.formats import check_writable, read_graphs, write_graphs
+    from sg3d_jax.io.attributes import check_attributes
+    from sg3d_jax.io.formats import check_writable, read_with_attributes, write_graphs
     from sg3d_jax.viz.figure import save_picture
 
     check_at_least("--samples", samples, 1)
@@ -59,40 +67,51 @@ def complete(
     check_at_least("--seed", seed, 0)
     check_output(output, GRAPHS)
     check_output(picture, PICTURES)
-    scenes = read_graphs(planes)
+    scenes = read_with_attributes(planes)
+    names = [f"{planes}: graph {index}" for index in range(len(scenes))]
+    names = names if len(scenes) > 1 else [f"{planes}"]
+    for name, scene in zip(names, scenes, strict=True):
+        check_attributes(scene.attributes, name)
     check_writable(output, len(scenes) * samples, "json")
     run_code(code)
     trained = _trained(weights, diffusion_steps)
-    names = [f"{planes}: graph {index}" for index in range(len(scenes))]
     grown = complete_scenes(
         trained.model,
         trained.params,
-        scenes,
+        [scene.graph for scene in scenes],
         seed,
         samples,
         candidates,
         keep,
         lanes,
-        names=names if len(scenes) > 1 else [f"{planes}"],
+        names=names,
+        normals=normals,
+        cut=cut,
     )
+    grown = [_with_card(completions, trained) for completions in grown]
+    made = [
+        (completion, _carried(read.attributes, completion), {"scene": scene, "sample": index})
+        for scene, (read, completions) in enumerate(zip(scenes, grown, strict=True))
+        for index, completion in enumerate(completions)
+    ]
     extras = [
         {
             "halt_reason": completion.halt_reason,
             "steps": completion.steps,
             "weights": weights,
             "seed": seed,
-            "scene": scene,
-            "sample": index,
-            "observed": _plain(completion.observed),
-            "kept": _plain(completion.kept),
-            "grown": _plain(completion.grown),
+            **place,
+            **_ids_by_concept(completion, held),
+            "confidence": completion.confidence._asdict(),
+            "remarks": list(completion.remarks),
         }
-        for scene, completions in enumerate(grown)
-        for index, completion in enumerate(completions)
+        for completion, held, place in made
     ]
-    graphs = [completion.graph for completions in grown for completion in completions]
-    write_graphs(output, graphs, extras=extras)
+    graphs, attributes = [one.graph for one, _, _ in made], [held for _, held, _ in made]
+    write_graphs(output, graphs, extras=extras, attributes=attributes)
     _say_what_was_grown(output, graphs, extras)
+    for name, of_scene in zip(names, grown, strict=True):
+        _say_remarks(name, [completion.remarks for completion in of_scene])
     if picture is not None:
         save_picture(graphs[0], picture)
         print(f"{picture}: picture of scene 0 sample 0")
@@ -136,9 +155,45 @@ def _trained(weights: str, diffusion_steps: int | None) -> Any:
     return trained if diffusion_steps is None else with_diffusion_steps(trained, diffusion_steps)
 
 
-def _plain(rows: dict[str, Any]) -> dict[str, list[int]]:
-    """Returns the rows of each concept as JSON values."""
-    return {concept: of_concept.tolist() for concept, of_concept in rows.items()}
+def _with_card(completions: list[Any], trained: Any) -> list[Any]:
+    """Returns the completions of a scene; if no training scene was like it, they say so first."""
+    from sg3d_jax.train.card import outside
+
+    unlike = trained.card and outside(trained.card, completions[0].graph)
+    if not unlike:
+        return completions
+    remark = f"outside of what {trained.name} was trained on: {unlike}"
+    return [one._replace(remarks=(remark, *one.remarks)) for one in completions]
+
+
+def _carried(attributes: Any, completion: Any) -> list[Any]:
+    """Returns the attributes of the nodes of a completion: those that were given have some."""
+    num_grown = len(completion.graph.nodes.label) - completion.num_given
+    return [*(attributes[row] for row in completion.source.tolist()), *[{}] * num_grown]
+
+
+def _ids_by_concept(completion: Any, attributes: Any) -> dict[str, dict[str, list[int | str]]]:
+    """Returns the ids of what was observed, kept and grown, by concept."""
+    from sg3d_jax.io.attributes import node_ids
+
+    ids = node_ids(attributes)
+    return {
+        name: {
+            concept: [ids[row] for row in rows.tolist()]
+            for concept, rows in getattr(completion, name).items()
+        }
+        for name in ("observed", "kept", "grown")
+    }
+
+
+def _say_remarks(name: str, remarks: list[tuple[str, ...]]) -> None:
+    """Prints the remarks on the samples of a scene, those that all have once."""
+    shared = [remark for remark in remarks[0] if all(remark in of_one for of_one in remarks)]
+    said = [f"{name}: {remark}" for remark in shared]
+    for sample, of_one in enumerate(remarks):
+        said += [f"{name}: sample {sample}: {remark}" for remark in of_one if remark not in shared]
+    for remark in said:
+        print(f"sg3d: remark: {remark}", file=sys.stderr)
 
 
 def _say_what_was_grown(output: Path, graphs: list, extras: list[dict[str, Any]]) -> None:

@@ -18,17 +18,40 @@ NoOption = Annotated[T, tyro.conf.Fixed, tyro.conf.Suppress]  # said in a file, 
 
 @dataclasses.dataclass(frozen=True)
 class DataConfig:
-    """Which graphs are trained on."""
+    """Which graphs are trained on.
 
-    name: str = "s-f-square"  # a data set by name, or the path of an npz file
-    num_graphs: int | None = None  # None: as many as the paper has
+    Several data sets are joined by plus signs, each with its own number of graphs behind a colon,
+    if not as many as usual: "s-f+g-c:1000+p-f.npz@robot". One that is named twice counts twice.
+    """
+
+    name: str = "s-f-square"  # a data set by name, the path of an npz file, or several
+    num_graphs: int | None = None  # of each set; None: as many as the paper has
     seed: int = 0  # of the generator
     split_seed: int = 0
+    views: int = 1  # trained on of each graph of a set that a robot sees, such as s-f@robot
+    title: str | None = None  # what several sets together are called; None: their names
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The data sets that are mixed, with their numbers of graphs."""
+        return tuple(self.name.split("+"))
+
+    @property
+    def parts(self) -> tuple["DataConfig", ...]:
+        """The data sets that are mixed, one by one."""
+        return tuple(self._part(name) for name in self.names)
+
+    def _part(self, text: str) -> "DataConfig":
+        base, at, seen = text.partition("@")
+        name, colon, count = base.rpartition(":")
+        if not (colon and count.isdigit()):
+            return dataclasses.replace(self, name=text)
+        return dataclasses.replace(self, name=name + at + seen, num_graphs=int(count))
 
     @property
     def label(self) -> str:
-        """The name of the data set, also where it is a file such as runs/p-f.npz."""
-        return Path(self.name).stem
+        """The name of the data, also where they are a file such as runs/p-f.npz."""
+        return self.title or "+".join(Path(name).stem for name in self.names)
 
 
 @dataclasses.dataclass(frozen=True)

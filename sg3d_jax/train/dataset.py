@@ -1,12 +1,16 @@
 """A split of a data set as a few stacks of padded graphs on the device, one a size bucket."""
 
+import itertools
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from sg3d_jax.data import registry
+from sg3d_jax.data.robot import VIEWS, in_pieces, view
 from sg3d_jax.data.splits import split_of
 from sg3d_jax.nn.kin import kin_slots
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph, ontology_of
@@ -23,14 +27,57 @@ def load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph]
     """Returns the host graphs of "train", "validation", "test" or "all".
 
     Args:
-      config: which data set, and how it is dealt.
-      part: of it.
+      config: which data sets, and how they are dealt. Of several the graphs take turns, so that the
+        first ones are of all.
+      part: of them.
       *methods: that are to be trained or scored on them; they refuse graphs that are beyond them.
 
     Raises:
       ValueError: there is no such data set, it has no graphs for this part, or a method does not
         apply to them.
     """
+    sets = [_load_split(one, part, *methods) for one in dict.fromkeys(config.parts)]
+    turns = itertools.zip_longest(*sets)
+    return [graph for turn in turns for graph in turn if graph is not None]
+
+
+def training_graphs(config: DataConfig, *methods: str) -> list[SceneGraph]:
+    """Returns the host graphs that are trained on: those for "train".
+
+    Of a set that a robot sees there are `views` views of each graph, over the pieces that its
+    planes are cut into before growing. A set that is named again has other views.
+
+    Args:
+      config: which data sets.
+      *methods: see `load_split`.
+
+    Raises:
+      ValueError: see `load_split`.
+    """
+    parts = config.parts
+    before = [parts[:index].count(one) for index, one in enumerate(parts)]
+    sets = [training_set(*pair, *methods) for pair in zip(parts, before, strict=True)]
+    return list(itertools.chain(*sets))
+
+
+def training_set(config: DataConfig, before: int = 0, *methods: str) -> list[SceneGraph]:
+    """Returns the graphs of one data set that are trained on, if it was named before so often."""
+    base, at, seen = config.name.rpartition("@")
+    if not at:
+        return _load_split(config, "train", *methods)
+    if seen not in VIEWS:
+        registry.get(config.name)  # refuses it
+    complete = _load_split(replace(config, name=f"{base}@clean"), "train", *methods)
+    first = before * config.views
+    return [
+        in_pieces(view(graph, VIEWS[seen], config.seed, index, number))
+        for number in range(first, first + config.views)
+        for index, graph in enumerate(complete)
+    ]
+
+
+def _load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph]:
+    """Returns the graphs of one data set."""
     name = config.name
     if spec := registry.DATASETS.get(name):
         _check_top(name, spec.top, PAPER_ONTOLOGY, methods)
@@ -72,23 +119,25 @@ def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> li
     Returns:
       One stack a bucket that is used; as many edge slots as its graphs need.
     """
-    sizes = np.array([_slots(graph) for graph in graphs])
+    sizes = np.array([slots_of(graph) for graph in graphs])
     capacities = list(capacities)
     while sizes.max() > capacities[-1]:
         capacities.append(2 * capacities[-1])
     bucket_of = np.searchsorted(np.asarray(capacities), sizes)
-    stacks = []
-    for bucket in np.unique(bucket_of):
+
+    def stacked(bucket: int) -> PackedGraph:
         members = [graphs[i] for i in np.flatnonzero(bucket_of == bucket)]
         nodes = capacities[bucket]
         room = nodes * min(nodes, 20)  # more than any union of 10 nearest neighbours has used
         connected = jax.jit(jax.vmap(connect_observed))(stack(members, Capacity(nodes, room)))
         needed = int(jnp.max(connected.n_edge[:, 0]))
-        stacks.append(_with_edge_slots(connected, -(-needed // EDGE_ROUNDING) * EDGE_ROUNDING))
-    return stacks
+        return _with_edge_slots(connected, -(-needed // EDGE_ROUNDING) * EDGE_ROUNDING)
+
+    with ThreadPoolExecutor() as pool:  # they compile side by side
+        return list(pool.map(stacked, np.unique(bucket_of).tolist()))
 
 
-def _slots(graph: SceneGraph) -> int:
+def slots_of(graph: SceneGraph) -> int:
     """Returns the least capacity of a host graph, in which all kin have a slot, too."""
     num_kin = int(np.sum(ontology_of(graph).hears_kin[graph.nodes.label]))
     slots = len(graph.nodes.label)

@@ -7,12 +7,14 @@ draw follow from its seeds and the step, so a resumed run continues bit for bit.
 import json
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import chex
 import jax
 import numpy as np
+from jaxtyping import Array, Key
 
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.infer.complete import complete, share_halted
@@ -22,12 +24,13 @@ from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph, ontology_of
 from sg3d_jax.train import checkpoint
+from sg3d_jax.train.card import Card, card_of
 from sg3d_jax.train.config import Config, check, to_json
-from sg3d_jax.train.dataset import load_split, stack_by_size
+from sg3d_jax.train.dataset import load_split, stack_by_size, training_graphs
 from sg3d_jax.train.log import display, writers
 from sg3d_jax.train.methods import METHODS, Measured, build_model, measure
 from sg3d_jax.train.statistics import shares_of
-from sg3d_jax.train.step import TrainState, init_state, make_train_call
+from sg3d_jax.train.step import TrainCall, TrainState, init_state, make_train_call
 from sg3d_jax.train.weights import load_weights, save_weights
 
 
@@ -39,17 +42,23 @@ class Run(NamedTuple):
     statistics: Measured  # of the training set
     stacks: list[PackedGraph]  # training graphs by size
     validation: list[SceneGraph]  # host graphs
+    card: Card  # of the weights to come
 
 
-def prepare(config: Config) -> Run:
-    """Makes or reads the data and builds the model."""
-    graphs = load_split(config.data, "train", config.method)
+def prepare(config: Config, graphs: Sequence[SceneGraph] | None = None) -> Run:
+    """Makes or reads the data and builds the model.
+
+    Args:
+      config: the run.
+      graphs: that are trained on, where they are made already; None for those of the configuration.
+    """
+    graphs = training_graphs(config.data, config.method) if graphs is None else graphs
     _check_concepts(config, graphs)
     stacks = stack_by_size(graphs, config.capacities)
     statistics = measure(config.model, config.flagg, stacks)
     validation = load_split(config.data, "validation")[: config.validation_graphs]
     model = build_model(config.model, config.flagg, statistics, config.ontology)
-    return Run(config, model, statistics, stacks, validation)
+    return Run(config, model, statistics, stacks, validation, card_of(graphs))
 
 
 def _check_concepts(config: Config, graphs: Sequence[SceneGraph]) -> None:
@@ -120,7 +129,7 @@ def train(config: Config, directory: str | Path) -> Path:
         params = checkpoint.restore(checkpoints, template, best).average
     finally:
         checkpoint.close(checkpoints)
-    return save_weights(directory / "weights.npz", config, run.statistics, params)
+    return save_weights(directory / "weights.npz", config, run.statistics, params, run.card)
 
 
 def start_from_weights(config: Config, state: TrainState) -> TrainState:
@@ -145,17 +154,26 @@ def start_from_weights(config: Config, state: TrainState) -> TrainState:
     return state._replace(params=trained.params, average=trained.params)
 
 
+def compile_calls(
+    train_call: Any, state: TrainState, key: Key[Array, ""], stacks: Sequence[PackedGraph]
+) -> list[TrainCall]:
+    """Compiles the training call of every bucket, side by side on as many cores as there are."""
+    lowered = [train_call.lower(state, key, graphs) for graphs in stacks]
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda one: one.compile(), lowered))
+
+
 def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, directory: Path) -> None:
     """Trains from a state to the end, validating and saving on the way."""
     config = run.config
-    train_call = make_train_call(config, run.model)
     record = writers(directory)
     key, shares = root_key(config.seed + 1), shares_of(run.stacks)
+    train_calls = compile_calls(make_train_call(config, run.model), state, key, run.stacks)
     with display(config.steps, int(state.step)) as shown:
         while int(state.step) < config.steps:
             first, began = int(state.step), time.monotonic()
             bucket = bucket_of_call(config, shares, first // config.steps_per_call)
-            state, metrics = train_call(state, key, run.stacks[bucket])
+            state, metrics = train_calls[bucket](state, key, run.stacks[bucket])
             step, values = int(state.step), {name: float(value) for name, value in metrics.items()}
             if not np.isfinite(values["loss"] + values["gradient_norm"]):
                 raise FloatingPointError(

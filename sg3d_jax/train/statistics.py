@@ -5,6 +5,7 @@ Everything is an expectation over training: each bucket counts by its share of t
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax
@@ -17,6 +18,7 @@ from sg3d_jax.flagg.removal import Cut
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
 CUTS_A_GRAPH = 16
+GRAPHS_AT_ONCE = 64  # of a stack, so that memory does not grow with the data set
 LEAST_SPREAD = 1e-3  # metres
 
 
@@ -66,11 +68,13 @@ def statistics_of(
             keys = jax.random.split(key, cuts_a_graph)
             return jax.vmap(lambda key: moments_of(cut_graph(key, graph)))(keys)
 
-        moments = jax.vmap(of_graph)(jax.random.split(key, graphs.n_node.shape[0]), graphs)
+        keys = jax.random.split(key, graphs.n_node.shape[0])
+        moments = jax.lax.map(lambda one: of_graph(*one), (keys, graphs), batch_size=GRAPHS_AT_ONCE)
         return jax.tree.map(lambda leaf: jnp.mean(leaf, axis=(0, 1)), moments)
 
     keys, shares = jax.random.split(jax.random.key(0), len(stacks)), shares_of(stacks)
-    counted = [jax.jit(mean_moments)(graphs, key) for graphs, key in zip(stacks, keys, strict=True)]
+    with ThreadPoolExecutor() as pool:  # they compile side by side
+        counted = list(pool.map(jax.jit(mean_moments), stacks, keys))
     labels = sum(
         share * _label_shares(graphs) for share, graphs in zip(shares, stacks, strict=True)
     )

@@ -44,11 +44,16 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
     )
 
 
-def init_state(config: Config, model: Model, graph: SceneGraph) -> TrainState:
+def init_state(
+    config: Config,
+    model: Model,
+    graph: SceneGraph,
+    optimiser: optax.GradientTransformation | None = None,
+) -> TrainState:
     """Draws the initial state from the run's seed; `graph` is any padded graph."""
     params = jax.jit(model.init)(root_key(config.seed), graph)  # compiled: no forward pass is run
-    optimiser = make_optimiser(config).init(params)
-    return TrainState(params, params, optimiser, jnp.zeros((), jnp.int32))
+    moments = (optimiser or make_optimiser(config)).init(params)
+    return TrainState(params, params, moments, jnp.zeros((), jnp.int32))
 
 
 def batch_of(config: Config, graphs: SceneGraph) -> int:
@@ -57,15 +62,22 @@ def batch_of(config: Config, graphs: SceneGraph) -> int:
     return max(1, min(config.batch, config.batch_nodes // num_slots))
 
 
-def make_train_call(config: Config, model: Model) -> TrainCall:
+def make_train_call(
+    config: Config, model: Model, optimiser: optax.GradientTransformation | None = None
+) -> Any:
     """Builds the compiled function that runs `steps_per_call` training steps on one bucket.
 
+    Args:
+      config: the run.
+      model: what is trained.
+      optimiser: None for that of the run (`make_optimiser`).
+
     Returns:
-      (state, key, graphs) -> (state, metrics): `graphs` is one stack of padded graphs; each step
-      draws a batch of them and everything else from `key` and the state's step, so a run is a pure
+      A jitted `TrainCall`, (state, key, graphs) -> (state, metrics). `graphs` is one stack; a step
+      draws a batch of it and everything else from `key` and the state's step, so a run is a pure
       function of its configuration. Metrics are means over the call.
     """
-    optimiser = make_optimiser(config)
+    chosen = optimiser or make_optimiser(config)
 
     def batch_loss(
         params: Params, key: Key[Array, ""], graphs: SceneGraph
@@ -84,7 +96,7 @@ def make_train_call(config: Config, model: Model) -> TrainCall:
         batch = jax.tree.map(lambda leaf: leaf[indices], graphs)
         value_and_grad = jax.value_and_grad(batch_loss, has_aux=True)
         (loss, terms), gradient = value_and_grad(state.params, key_loss, batch)
-        updates, optimiser_state = optimiser.update(gradient, state.optimiser, state.params)
+        updates, optimiser_state = chosen.update(gradient, state.optimiser, state.params)
         params = optax.apply_updates(state.params, updates)
         decay = jnp.minimum(config.optimiser.ema_decay, (1 + state.step) / (10 + state.step))
         average = optax.incremental_update(params, state.average, 1 - decay)

@@ -18,6 +18,8 @@ import numpy as np
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.infer.lanes import Model
 from sg3d_jax.io.files import replacing
+from sg3d_jax.train import DEFAULT_WEIGHTS
+from sg3d_jax.train.card import Card, card_from_json, card_to_json
 from sg3d_jax.train.config import Config, from_dict, to_json
 from sg3d_jax.train.methods import (
     METHODS,
@@ -39,11 +41,15 @@ class Trained(NamedTuple):
     config: Config  # of the run that made them
     statistics: Measured  # of its training set
     name: str  # as it was asked for
+    card: Card | None = None  # what it was trained on, and how well it does; None if nobody said
 
 
-def save_weights(path: Path, config: Config, statistics: Measured, params: Params) -> Path:
+def save_weights(
+    path: Path, config: Config, statistics: Measured, params: Params, card: Card | None = None
+) -> Path:
     """Writes weights to an npz file, under a temporary name first."""
     content: dict[str, Any] = dict(_flat(statistics, "statistics")) | dict(_flat(params, "params"))
+    content |= {} if card is None else {"card": card_to_json(card)}
     with replacing(path) as temporary:
         np.savez_compressed(temporary, format=FORMAT, config=to_json(config), **content)
     return path
@@ -69,7 +75,7 @@ def pack_weights(weights: Path, folder: Path) -> Path:
     config = dataclasses.replace(trained.config, data=data)
     rounded = jax.tree.map(lambda leaf: leaf.astype(jnp.float16), trained.params)
     path = folder / f"{config.method}-{data.name}.npz"
-    return save_weights(path, config, trained.statistics, rounded)
+    return save_weights(path, config, trained.statistics, rounded, trained.card)
 
 
 def names() -> list[str]:
@@ -78,11 +84,12 @@ def names() -> list[str]:
     return sorted(file.name[:-4] for file in folder.iterdir() if file.name.endswith(".npz"))
 
 
-def load_weights(name_or_path: str | Path) -> Trained:
+def load_weights(name_or_path: str | Path = DEFAULT_WEIGHTS) -> Trained:
     """Loads weights by name, or from a file.
 
     Args:
-      name_or_path: one of `names()`, such as "fd4-s-f", or the path of an npz file.
+      name_or_path: one of `names()`, such as "fd4-s-f", or the path of an npz file; by default the
+        weights for scenes of every kind.
 
     Raises:
       ValueError: neither a known name nor a sound weights file.
@@ -126,12 +133,13 @@ def _read(path: Path, name: str) -> Trained:
         config = from_dict(about)
         statistics = _statistics(METHODS[config.method].statistics, arrays)
         params = params_of(config.model, _nested(arrays, "params/"))
+        card = card_from_json(str(arrays["card"])) if "card" in arrays else None
     except Exception as error:
         foreign = isinstance(error, ValueError) and "unknown method" in str(error)
         problem = str(error) if foreign else "not a weights file of this version of sg3d_jax"
         raise ValueError(f"{path}: {problem}") from error
     model = build_model(config.model, config.flagg, statistics, config.ontology)
-    return Trained(model, params, config, statistics, name)
+    return Trained(model, params, config, statistics, name, card)
 
 
 def _statistics(kind: type[Measured], arrays: dict[str, np.ndarray]) -> Measured:

@@ -56,3 +56,4 @@ def use(programs: Trained, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(loop, "prepare", prepare)
     patch.setattr(loop, "init_state", lambda config, model, graph: programs.initial)
     patch.setattr(loop, "make_train_call", lambda config, model: programs.train_call)
+    patch.setattr(loop, "compile_calls", lambda call, *given: [call] * len(programs.run.stacks))

@@ -7,12 +7,12 @@ import pytest
 
 from sg3d_jax.data import registry
 from sg3d_jax.io import npz
-from sg3d_jax.scene.graph import undirected_edges
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
+from sg3d_jax.scene.graph import parts_first, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Capacity, pad, unpad
 from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
-from sg3d_jax.train.dataset import load_split, stack_by_size
+from sg3d_jax.train.dataset import load_split, stack_by_size, training_graphs
 
 CAPACITIES = (20, 32, 136)
 PARTS = ("train", "validation", "test")
@@ -127,3 +127,45 @@ def test_seeds_change_the_graphs_and_how_they_are_dealt():
         )
     }
     assert len(widths) == 3
+
+
+def test_several_sets_are_mixed_and_take_turns():
+    """Each has its own number of graphs; one that is named twice is trained on twice."""
+    mixed = DataConfig("s-f-square:10+s-f+s-f-square:10", num_graphs=15)
+    one, other = (registry.make(name, number) for name, number in (("s-f-square", 10), ("s-f", 15)))
+    assert len(load_split(mixed, "all")) == 25
+    trained_on = [graph.nodes.position.tobytes() for graph in training_graphs(mixed)]
+    assert len(trained_on) == 6 + 9 + 6
+    assert trained_on[:6] == trained_on[-6:]
+    assert trained_on[6:15] == [
+        graph.nodes.position.tobytes()
+        for graph in load_split(DataConfig("s-f", num_graphs=15), "train")
+    ]
+    first, second = load_split(mixed, "all")[:2]
+    npt.assert_array_equal(first.nodes.position, one[0].nodes.position)
+    npt.assert_array_equal(second.nodes.position, other[0].nodes.position)
+    assert mixed.label == "s-f-square:10+s-f+s-f-square:10"
+    assert dataclasses.replace(mixed, title="mixed").label == "mixed"
+
+
+def test_sets_that_a_robot_sees_are_trained_on_in_other_views_and_in_pieces():
+    config = DataConfig("s-f:10@merged+s-f:10@robot+s-f:10@robot", views=2)
+    graphs = training_graphs(config)
+    assert len(graphs) == 3 * 2 * 6
+    merged, seen = graphs[:6], [graph.nodes.position.tobytes() for graph in graphs[12:]]
+    assert len(set(seen)) == 24  # no view comes twice
+    for graph in merged:  # no piece bounds two rooms
+        planes_of_rooms = [part for part, whole in parts_first(graph) if _is_room(graph, whole)]
+        assert len(planes_of_rooms) == len(set(planes_of_rooms))
+    shared = load_split(DataConfig("s-f:10@merged"), "train")  # as they are seen
+    assert sum(len(graph.nodes.label) for graph in shared) < sum(map(_size, merged))
+    with pytest.raises(ValueError, match="s-f has no view 'nothing', expected one of robot"):
+        training_graphs(DataConfig("s-f:10@nothing"))
+
+
+def _is_room(graph, node):
+    return graph.nodes.label[node] == ROOM
+
+
+def _size(graph):
+    return len(graph.nodes.label)

@@ -9,11 +9,13 @@ import optax
 import pytest
 
 from sg3d_jax.infer.complete import complete
+from sg3d_jax.infer.lanes import root_key
 from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.train import checkpoint, loop
 from sg3d_jax.train.config import to_json
 from sg3d_jax.train.loop import (
     bucket_of_call,
+    compile_calls,
     prepare,
     start_from_weights,
     train,
@@ -106,6 +108,15 @@ def test_a_run_is_a_function_of_its_configuration(programs, tmp_path):
         *map(jax.tree.leaves, ((again.statistics, again.stacks), programs.run[2:4])), strict=True
     ):
         npt.assert_array_equal(one, other)
+
+
+def test_calls_that_were_compiled_side_by_side_do_what_the_jitted_one_does(trained):
+    given = trained.initial, root_key(trained.run.config.seed + 1)
+    calls = compile_calls(trained.train_call, *given, trained.run.stacks)
+    for call, graphs in zip(calls, trained.run.stacks, strict=True):
+        pairs = map(jax.tree.leaves, (call(*given, graphs), trained.train_call(*given, graphs)))
+        for one, other in zip(*pairs, strict=True):
+            npt.assert_array_equal(one, other)
 
 
 def test_a_finished_run_is_left_as_it_is(programs, tmp_path, monkeypatch):
