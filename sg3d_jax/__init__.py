@@ -11,7 +11,12 @@ if TYPE_CHECKING:
     from sg3d_jax.fill.protocol import Fill, Statistics
     from sg3d_jax.flagg.grow import Grown, grow
     from sg3d_jax.infer.complete import Completion, complete
-    from sg3d_jax.io.formats import read_graphs, read_planes, write_graphs
+    from sg3d_jax.io.formats import (
+        read_graphs,
+        read_planes,
+        read_with_attributes,
+        write_graphs,
+    )
     from sg3d_jax.io.networkx import from_networkx, to_networkx
     from sg3d_jax.io.planes import planes
     from sg3d_jax.metrics.entropic import entropic_fgw
@@ -85,6 +90,7 @@ __all__ = [
     "planes",
     "read_graphs",
     "read_planes",
+    "read_with_attributes",
     "register_fill",
     "save_page",
     "save_picture",
@@ -106,7 +112,7 @@ _NAMES = {
     "fill.protocol": ("Fill", "Statistics"),
     "flagg.grow": ("Grown", "grow"),
     "infer.complete": ("Completion", "complete"),
-    "io.formats": ("read_graphs", "read_planes", "write_graphs"),
+    "io.formats": ("read_graphs", "read_planes", "read_with_attributes", "write_graphs"),
     "io.networkx": ("from_networkx", "to_networkx"),
     "io.planes": ("planes",),
     "metrics.entropic": ("entropic_fgw",),

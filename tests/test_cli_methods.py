@@ -15,7 +15,7 @@ from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.scene.graph import observed_of
 from sg3d_jax.scene.ontology import FLOOR, PLANE
 from sg3d_jax.train import evaluation, loop
-from sg3d_jax.train.config import to_json
+from sg3d_jax.train.config import DataConfig, to_json
 from sg3d_jax.train.methods import METHODS
 from sg3d_jax.train.weights import load_weights
 from sg3d_jax.viz import figure
@@ -182,6 +182,14 @@ def test_a_name_is_a_method_on_a_data_set(monkeypatch):
         method = evaluation.load_contender(name)
         assert (loaded.pop(), method.weights, method.data.name) == (weights, weights, data)
         assert evaluation.load_contender(name, "a.npz").data.name == "a.npz"
+
+
+def test_weights_of_several_sets_are_scored_on_one_that_is_named(monkeypatch):
+    config = dataclasses.replace(FD4.config, data=DataConfig("s-f+s-c", title="both", num_graphs=9))
+    monkeypatch.setattr(evaluation, "load_weights", lambda name: FD4._replace(config=config))
+    with pytest.raises(ValueError, match="is not of one data set, expected --data with one"):
+        evaluation.load_contender("w.npz")
+    assert evaluation.load_contender("w.npz", "s-c").data == DataConfig("s-c")
 
 
 @pytest.mark.parametrize("name", ["fd4-m-f", "midi-r-c", "midi-or-m-f"])

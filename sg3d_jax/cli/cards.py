@@ -18,7 +18,7 @@ def weights(names: Positional[tuple[str, ...]] = ()) -> None:
     from sg3d_jax.train.weights import load_weights
     from sg3d_jax.train.weights import names as shipped
 
-    table = Table("weights", "trained on", "scenes like", "FGW / exact, scenes of the test split")
+    table = Table("weights", "trained on", "scenes of", "FGW / exact, test scenes")
     for name in names or shipped():
         trained = load_weights(name)
         shown = f"{name} (default)" if name == DEFAULT_WEIGHTS else name

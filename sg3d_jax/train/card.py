@@ -18,8 +18,8 @@ from sg3d_jax.scene.graph import SceneGraph, observed_of, ontology_of
 MEASURES: Final = {
     "number": "{plural}",
     "extent": "m across",
-    "width": "m wide {plural}",
-    "thickness": "m between {plural} back to back",
+    "width": "m wide",
+    "thickness": "m back to back",
 }
 TAIL: Final = 0.5  # percent of the training scenes that a range leaves out at each end
 SLACK: Final = 1.25

@@ -95,8 +95,10 @@ def _trained(
     if diffusion_steps is not None:
         trained = with_diffusion_steps(trained, diffusion_steps)
     config, source = trained.config, trained.config.data
+    if data is None and len(source.names) > 1:
+        raise ValueError(f"{name} is not of one data set, expected --data with one")
     if data is not None and data != source.name:
-        source = dataclasses.replace(source, name=data, num_graphs=None)
+        source = dataclasses.replace(source, name=data, num_graphs=None, title=None)
 
     def complete_all(scenes: Sequence[SceneGraph], seed: int) -> Result:
         completed = complete(trained.model, trained.params, scenes, seed, candidates=candidates)

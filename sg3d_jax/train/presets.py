@@ -40,7 +40,8 @@ def find_config(name_or_path: str) -> Config:
 
     Args:
       name_or_path: a Python file that defines CONFIG; or METHOD-DATASET, which is the configuration
-        of that name if there is one, else that of the method's home with another data set.
+        of that name if there is one, such as midi-general, else that of the method's home with
+        another data set.
 
     Raises:
       ValueError: there is no such file or name, or there is nothing to train.
@@ -48,6 +49,9 @@ def find_config(name_or_path: str) -> Config:
     path = Path(name_or_path)
     if path.suffix:
         return _read(path)
+    own = _folder() / f"{name_or_path.replace('-', '_')}.py"
+    if own.is_file():
+        return _read(own)
     named = parse(name_or_path)
     if named is None:
         raise ValueError(
@@ -58,9 +62,6 @@ def find_config(name_or_path: str) -> Config:
         raise ValueError(
             f"{named.method} has nothing to train, it is fitted by `sg3d evaluate {name_or_path}`"
         )
-    own = _folder() / f"{name_or_path.replace('-', '_')}.py"
-    if own.is_file():
-        return _read(own)
     home = METHODS[named.method].home
     if home is None:
         raise ValueError(f"{name_or_path}: {named.method} has no configuration, expected its file")

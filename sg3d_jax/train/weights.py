@@ -71,10 +71,12 @@ def pack_weights(weights: Path, folder: Path) -> Path:
       ValueError: no sound weights file.
     """
     trained = load_weights(weights)
-    data = dataclasses.replace(trained.config.data, name=trained.config.data.label)
+    data, label = trained.config.data, trained.config.data.label
+    if data.title is None:
+        data = dataclasses.replace(data, name=label)
     config = dataclasses.replace(trained.config, data=data)
     rounded = jax.tree.map(lambda leaf: leaf.astype(jnp.float16), trained.params)
-    path = folder / f"{config.method}-{data.name}.npz"
+    path = folder / f"{config.method}-{label}.npz"
     return save_weights(path, config, trained.statistics, rounded, trained.card)
 
 

@@ -48,6 +48,7 @@ def test_a_run_starts_from_weights_that_come_with_the_package_or_of_another_conf
 
 def test_a_configuration_of_that_name_comes_first_else_it_is_that_of_the_home():
     assert find_config("fd4-s-f-square") == read_config("fd4_s_f_square")
+    assert find_config("midi-general") == read_config("midi_general")  # no data set, but a mixture
     expected = dataclasses.replace(read_config("fd4_s_f"), data=DataConfig("large"))
     assert find_config("fd4-large") == expected
     home = read_config("ec_square_s_f_square")

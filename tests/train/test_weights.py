@@ -10,6 +10,7 @@ import pytest
 from sg3d_jax.flagg.step import Params
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.train import weights
+from sg3d_jax.train.card import Card
 from sg3d_jax.train.methods import METHODS, build_model
 from sg3d_jax.train.weights import (
     load_weights,
@@ -75,6 +76,18 @@ def test_packed_weights_name_their_data_set_not_its_file(tmp_path):
     packed = pack_weights(run, tmp_path)
     assert packed.name == "fd4-p-f.npz"
     assert load_weights(packed).config.data.name == "p-f"
+
+
+def test_packed_weights_of_a_mixture_have_its_title(tmp_path):
+    data = dataclasses.replace(CONFIG.data, name="s-f+p-f.npz@robot", title="general")
+    config = dataclasses.replace(CONFIG, data=data)
+    card = Card(3, {"number": (4.0, 9.0)}, (), "twice")
+    packed = pack_weights(
+        save_weights(tmp_path / "w.npz", config, STATISTICS, PARAMS, card), tmp_path
+    )
+    assert packed.name == "fd4-general.npz"
+    assert load_weights(packed).config.data == data
+    assert load_weights(packed).card == card
 
 
 @pytest.mark.parametrize("method", METHODS)
