@@ -5,10 +5,10 @@
     python benchmarks/robot.py midi-general fd4-s-f
     python benchmarks/robot.py midi-general --recordings s_graphs_logs.jsonl.gz
 
-With data, a row for the set as it is, and as a robot sees it (`data.robot.VIEWS`). Without, five rooms
-whose six walls are 0.09 to 0.40 m thick: the shares of walls and rooms that have exactly their
-planes. Recordings are graphs, a line each, with planes and the rooms that S-Graphs found: the shares of
-these that are found exactly, and with an IoU of planes of at least .5. Writes
+With data, a row for the set as it is, and as a robot sees it (`data.robot.VIEWS`). Without, five
+rooms whose six walls are 0.09 to 0.40 m thick: the shares of walls and rooms that have exactly
+their planes. Recordings are graphs, a line each, with planes and the rooms that S-Graphs found: the
+shares of these that are found exactly, and with an IoU of planes of at least .5. Writes
 benchmarks/results/robot_NAME.json, NAME being that of the data, "walls" or "recordings".
 """
 
@@ -150,6 +150,7 @@ def main() -> None:
     parser.add_argument("--data", help="a data set by name or a file")
     parser.add_argument("--recordings", type=Path, help="graphs of S-Graphs, JSON Lines, gzipped")
     parser.add_argument("--scenes", type=int, default=40)
+    parser.add_argument("--views", nargs="+", help="of the data, such as mild; all by default")
     arguments = parser.parse_args()
     rows: dict[str, Any] = {}
     for name in arguments.weights:
@@ -157,7 +158,8 @@ def main() -> None:
         if arguments.recordings:
             rows[name]["recordings"] = rooms_found(trained, recorded(arguments.recordings))
         if arguments.data:
-            for effect in EFFECTS:
+            chosen = [f"@{view}" for view in arguments.views or ()]
+            for effect in ["", *chosen] if chosen else EFFECTS:
                 row = measured(trained, f"{arguments.data}{effect}", arguments.scenes)
                 print(name, effect or "as it is", row, flush=True)
                 rows[name][effect or "as it is"] = row
