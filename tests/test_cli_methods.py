@@ -185,7 +185,7 @@ def test_a_name_is_a_method_on_a_data_set(monkeypatch):
 
 
 def test_weights_of_several_sets_are_scored_on_one_that_is_named(monkeypatch):
-    config = dataclasses.replace(FD4.config, data=DataConfig("s-f+s-c", title="both", num_graphs=9))
+    config = dataclasses.replace(FD4.config, data=DataConfig("s-f+s-c", title="both", views=9))
     monkeypatch.setattr(evaluation, "load_weights", lambda name: FD4._replace(config=config))
     with pytest.raises(ValueError, match="is not of one data set, expected --data with one"):
         evaluation.load_contender("w.npz")

@@ -1,6 +1,5 @@
 """What can be scored, by name: anything that turns planes into scene graphs."""
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -98,7 +97,7 @@ def _trained(
     if data is None and len(source.names) > 1:
         raise ValueError(f"{name} is not of one data set, expected --data with one")
     if data is not None and data != source.name:
-        source = dataclasses.replace(source, name=data, num_graphs=None, title=None)
+        source = DataConfig(data, None, source.seed, source.split_seed)
 
     def complete_all(scenes: Sequence[SceneGraph], seed: int) -> Result:
         completed = complete(trained.model, trained.params, scenes, seed, candidates=candidates)
