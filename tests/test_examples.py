@@ -13,7 +13,7 @@ from sg3d_jax.data import registry
 from sg3d_jax.infer.lanes import growth_capacity
 from sg3d_jax.io import npz
 from sg3d_jax.io.formats import read_planes
-from sg3d_jax.scene.validate import checked_observed
+from sg3d_jax.scene.validate import check_observed
 from sg3d_jax.train import checkpoint
 from sg3d_jax.train.methods import METHODS
 from tests.command_line import documents, refusal, run
@@ -40,7 +40,7 @@ def test_every_example_is_read_and_sound(path):
     scenes = read_planes(path)
     assert len(scenes) > 1 if path.suffix == ".jsonl" else len(scenes) == 1
     for scene in scenes:
-        checked_observed(scene, str(path))
+        check_observed(scene, str(path))
         assert growth_capacity(len(scene.nodes.label)).nodes <= 128
         np.testing.assert_allclose(np.linalg.norm(scene.nodes.normal, axis=1), 1, atol=1e-6)
 

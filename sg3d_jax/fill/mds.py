@@ -9,10 +9,12 @@ all below them: distances leave mirror images or a circle, and from a start abov
 uppermost place is found.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Bool, Float
 
 from sg3d_jax.nn.embed import Surface, safe_norm
@@ -112,7 +114,8 @@ def _levenberg_step(
     damped = hessian + iterate.damping * jnp.eye(3 * num_block)
     # Filtering by the Hessian itself keeps out of directions that no distance fixes: there a plain
     # damped step amplifies rounding until a wall leaves the line between its planes.
-    move = jnp.linalg.solve(damped, hessian @ jnp.linalg.solve(damped, gradient.reshape(-1)))
+    solve = functools.partial(cho_solve, cho_factor(damped))
+    move = solve(hessian @ solve(gradient.reshape(-1)))
     move = move.reshape(num_block, 3)
     position = iterate.position - move
     value = stress(position, old_position, distance, edges)

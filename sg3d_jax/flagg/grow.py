@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, Key
 
+from sg3d_jax.diffusion.threefry import unrolled
+from sg3d_jax.flagg.compiled import Compiled
 from sg3d_jax.flagg.step import Flagg, Params
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
 from sg3d_jax.scene.padding import without_proximity
@@ -59,7 +61,7 @@ def grow(
 
     Source: paper, Sec. "Generating 3DSGs".
     """
-    graph = connect_observed(given)
+    graph, key = connect_observed(given), unrolled(key)
     reason = jnp.asarray(RUNNING)
     if ask_first:
         is_asked = jnp.any(graph.nodes.mask & ~graph.nodes.observed) & (jnp.asarray(steps) == 0)
@@ -82,7 +84,7 @@ def grow(
     return Grown(without_proximity(graph), reason, steps)
 
 
-@functools.partial(jax.jit, static_argnames=("model", "max_steps", "ask_first"))
+@functools.partial(Compiled, static_argnames=("model", "max_steps", "ask_first"))
 def grow_lanes(
     model: Flagg,
     params: Params,

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from sg3d_jax.diffusion.threefry import unrolled
 from sg3d_jax.fill.protocol import Fill, Terms
 from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
 from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss
@@ -91,7 +92,7 @@ class Flagg:
 
     def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
         """Draws initial parameters; `graph` is any padded graph."""
-        keys = jax.random.split(key, 4)
+        keys = jax.random.split(unrolled(key), 4)
         cut = cut_graph(self.config, keys[0], graph)
         return Params(
             insert=self.insert.init(keys[1], cut.survivors),
@@ -108,7 +109,7 @@ class Flagg:
 
         Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
         """
-        key_cut, key_corrupt, key_blocks, key_fill = jax.random.split(key, 4)
+        key_cut, key_corrupt, key_blocks, key_fill = jax.random.split(unrolled(key), 4)
         config, number = self.config, self.config.continuations
         cut = cut_graph(config, key_cut, graph)
         old = corrupt(cut.survivors, key_corrupt, config.corruption)

@@ -6,9 +6,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Key
 
+from sg3d_jax.diffusion.threefry import unrolled
 from sg3d_jax.fill.protocol import Params
+from sg3d_jax.flagg.compiled import Compiled
 from sg3d_jax.infer.lanes import Model, root_key
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train.config import Config
@@ -90,7 +93,7 @@ def make_train_call(
         return jnp.mean(losses), jax.tree.map(jnp.mean, terms)
 
     def train_step(state: TrainState, key: Key[Array, ""], graphs: SceneGraph) -> Any:
-        key_index, key_loss = jax.random.split(jax.random.fold_in(key, state.step))
+        key_index, key_loss = jax.random.split(jax.random.fold_in(unrolled(key), state.step))
         num_graphs = graphs.n_node.shape[0]
         indices = jax.random.randint(key_index, (batch_of(config, graphs),), 0, num_graphs)
         batch = jax.tree.map(lambda leaf: leaf[indices], graphs)
@@ -100,10 +103,11 @@ def make_train_call(
         params = optax.apply_updates(state.params, updates)
         decay = jnp.minimum(config.optimiser.ema_decay, (1 + state.step) / (10 + state.step))
         average = optax.incremental_update(params, state.average, 1 - decay)
-        metrics = {"loss": loss, **terms, "gradient_norm": optax.tree.norm(gradient)}
+        norm = jnp.linalg.norm(ravel_pytree(gradient)[0])  # one vector, as the optimiser's
+        metrics = {"loss": loss, **terms, "gradient_norm": norm}
         return TrainState(params, average, optimiser_state, state.step + 1), metrics
 
-    @jax.jit
+    @Compiled
     def train_call(
         state: TrainState, key: Key[Array, ""], graphs: SceneGraph
     ) -> tuple[TrainState, Metrics]:

@@ -61,17 +61,17 @@ def run(params, graph, inputs):
     return apply(DENOISER, params["denoiser"], conditioning, centre, *noisy)
 
 
+def init(key):
+    graph, inputs = on_device(SCENE), jax.tree.map(jnp.asarray, draw_inputs())
+    keys = jax.random.split(key)
+    encoder = ENCODER.init(keys[0], graph)
+    conditioning = apply(ENCODER, encoder, graph)
+    denoiser = DENOISER.init(keys[1], conditioning, *inputs, jnp.float32(0))
+    return {"encoder": encoder, "denoiser": denoiser}
+
+
 @pytest.fixture(scope="module")
 def params():
-    graph, inputs = on_device(SCENE), jax.tree.map(jnp.asarray, draw_inputs())
-
-    def init(key):
-        keys = jax.random.split(key)
-        encoder = ENCODER.init(keys[0], graph)
-        conditioning = apply(ENCODER, encoder, graph)
-        denoiser = DENOISER.init(keys[1], conditioning, *inputs, jnp.float32(0))
-        return {"encoder": encoder, "denoiser": denoiser}
-
     return random_params(init)
 
 
@@ -163,12 +163,8 @@ def test_every_output__sees_every_noisy_input_and_the_frame(params, expected, fi
 
 
 def test_positions__stay_where_they_are_before_any_training():
-    graph, inputs = on_device(SCENE), jax.tree.map(jnp.asarray, draw_inputs())
-    keys = jax.random.split(jax.random.key(0))
-    encoder = jax.jit(ENCODER.init)(keys[0], graph)
-    conditioning = apply(ENCODER, encoder, graph)
-    denoiser = jax.jit(DENOISER.init)(keys[1], conditioning, *inputs, jnp.float32(0))
-    _, _, position = run({"encoder": encoder, "denoiser": denoiser}, graph, draw_inputs())
+    inputs, untrained = draw_inputs(), jax.jit(init)(jax.random.key(0))
+    _, _, position = run(untrained, on_device(SCENE), inputs)
     np.testing.assert_allclose(position, inputs.position, rtol=1e-6)
 
 

@@ -1,0 +1,46 @@
+"""How growing and training are compiled: quickly."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+
+
+def quick_options() -> dict[str, int] | None:
+    """Returns options for programs of many small kernels; None where they do not apply.
+
+    On a CPU, LLVM's first level of optimisation compiles growing and training in three quarters of
+    the time of its third, and what it makes of them runs as fast.
+    """
+    if jax.default_backend() != "cpu" or jax.config.read("jax_disable_most_optimizations"):
+        return None
+    return {"xla_backend_optimization_level": 1}
+
+
+class Compiled:
+    """A function under `jax.jit` with `quick_options`, which are known once JAX has a device.
+
+    Whatever a jitted function has, such as `lower`, it has too. It is no part of another one.
+    """
+
+    def __init__(self, function: Callable[..., Any], static_argnames: Sequence[str] = ()) -> None:
+        """Wraps a function; nothing is run."""
+        functools.update_wrapper(self, function)
+        self._static_argnames = static_argnames
+
+    @functools.cached_property
+    def _jitted(self) -> Any:
+        return jax.jit(
+            self.__wrapped__,
+            static_argnames=self._static_argnames,
+            compiler_options=quick_options(),
+        )
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Runs the program."""
+        return self._jitted(*args, **kwargs)
+
+    def __getattr__(self, name: str) -> Any:
+        """Returns what the jitted function has."""
+        return getattr(self._jitted, name)
