@@ -168,7 +168,8 @@ def main() -> None:
         print(name, {key: value for key, value in rows[name].items() if key not in EFFECTS})
     label = Path(arguments.data).stem if arguments.data else "walls"
     label = "recordings" if arguments.recordings else label
-    about = {**provenance(), "command": " ".join(["python benchmarks/robot.py", *sys.argv[1:]])}
+    given = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
+    about = {**provenance(), "command": " ".join(["python benchmarks/robot.py", *given])}
     path = RESULTS / f"robot_{label}.json"
     path.write_text(json.dumps({**about, "rows": rows}, indent=2) + "\n")
 

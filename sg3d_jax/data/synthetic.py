@@ -89,9 +89,9 @@ S_F_SQUARE: Final = SyntheticConfig(room_cells=(10, 100), rotate=True)
 S_F: Final = SyntheticConfig(merge_ratio=0.7)
 S_C: Final = CityConfig()
 S_B: Final = CityConfig(extra_buildings=(0, 0), top=BUILDING)
-# About 330 nodes, three times those of S-C.
 # As S_F, true widths, and planes of one wall 0.05 to 0.45 m apart instead of 0.08 to 0.10 m.
 S_F_THICK: Final = replace(S_F, wall_thickness=(0.1, 0.9), stale_width=False)
+# About 330 nodes, three times those of S-C.
 LARGE: Final = CityConfig(storeys=(2, 5), extra_buildings=(1, 3), extra_storeys=(2, 5), radius=40.0)
 
 

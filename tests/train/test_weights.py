@@ -180,7 +180,7 @@ def test_the_weights_of_the_package_load_and_are_finite(name):
     loaded = load_weights(name)
     leaves = jax.tree.leaves((loaded.params, loaded.statistics))
     assert all(np.isfinite(leaf).all() for leaf in leaves)
-    assert f"{loaded.config.method}-{loaded.config.data.name}" == name
+    assert f"{loaded.config.method}-{loaded.config.data.label}" == name
 
 
 @pytest.mark.parametrize(("name", "expected"), sorted(PARAMETERS.items()))
