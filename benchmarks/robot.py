@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from sg3d_jax.cli.provenance import provenance
+from sg3d_jax.data.robot import VIEWS
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.io.planes import planes
 from sg3d_jax.metrics.report import score
@@ -32,10 +33,7 @@ from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split
 from sg3d_jax.train.weights import Trained, load_weights
 
-EFFECTS = (
-    *("", "@clean", "@mild", "@strong", "@merged", "@missing", "@shortened", "@split"),
-    *("@doubled", "@position", "@heading", "@height", "@clutter", "@path", "@robot"),
-)
+EFFECTS = ("", *(f"@{name}" for name in VIEWS))
 THICKNESSES = (0.09, 0.15, 0.20, 0.30, 0.40)  # metres
 FLOORS_OF_FIVE = 10
 RESULTS = Path(__file__).parent / "results"

@@ -22,24 +22,25 @@ import optax
 
 from sg3d_jax.infer.lanes import root_key
 from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.train.config import Config, DataConfig
-from sg3d_jax.train.dataset import slots_of, training_set
+from sg3d_jax.train.config import DataConfig
+from sg3d_jax.train.dataset import numbered_parts, slots_of, training_set
 from sg3d_jax.train.loop import bucket_of_call, compile_calls, prepare, start_from_weights
 from sg3d_jax.train.presets import find_config
 from sg3d_jax.train.statistics import shares_of
-from sg3d_jax.train.step import init_state, make_train_call
+from sg3d_jax.train.step import init_state, make_optimiser, make_train_call
 from sg3d_jax.train.weights import save_weights
 
-WARMUP = 0.02  # of the time, in which the learning rate rises
+MOMENTS = 1000  # of the time, as the schedule of the learning rate counts it,
+WARMUP = 20  # and those in which it rises
 
 
 def made_side_by_side(data: DataConfig) -> list[SceneGraph]:
     """Makes the training graphs of all data sets, those of each view in a process of its own."""
     os.environ["JAX_PLATFORMS"] = "cpu"  # of the processes: they must not take the device
-    parts, jobs = data.parts, []
-    for index, part in enumerate(parts):
+    jobs = []
+    for part, before in numbered_parts(data):
         views = range(part.views) if "@" in part.name else [0]
-        first = parts[:index].count(part) * part.views
+        first = before * part.views
         jobs += [(dataclasses.replace(part, views=1), first + number) for number in views]
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         sets = list(pool.map(training_set, *zip(*jobs, strict=True)))
@@ -47,29 +48,6 @@ def made_side_by_side(data: DataConfig) -> list[SceneGraph]:
         nodes = sum(len(graph.nodes.label) for graph in graphs)
         print(f"  {part.name} {number}: {len(graphs)} graphs, {nodes} nodes")
     return [graph for graphs in sets for graph in graphs]
-
-
-def optimiser_of(config: Config) -> optax.GradientTransformation:
-    """Returns the optimiser of a run with a learning rate that is set from outside."""
-    settings = config.optimiser
-
-    def make(learning_rate: float) -> optax.GradientTransformation:
-        return optax.flatten(
-            optax.chain(
-                optax.clip_by_global_norm(settings.clip_norm),
-                optax.adamw(learning_rate, weight_decay=settings.weight_decay),
-            )
-        )
-
-    return optax.inject_hyperparams(make)(learning_rate=0.0)
-
-
-def learning_rate(config: Config, progress: float) -> float:
-    """Returns the rate after a share of the time: a warm-up, then half a cosine."""
-    peak = config.optimiser.learning_rate
-    if progress < WARMUP:
-        return peak * progress / WARMUP
-    return peak * (1 + np.cos(np.pi * min(1.0, (progress - WARMUP) / (1 - WARMUP)))) / 2
 
 
 def main() -> None:
@@ -101,7 +79,9 @@ def main() -> None:
     run = prepare(config, fitting)
     shares = shares_of(run.stacks)
     said(f"stacks of {[s.nodes.mask.shape for s in run.stacks]}, shares {shares.round(3).tolist()}")
-    optimiser = optimiser_of(config)
+    optimiser = optax.inject_hyperparams(lambda rate: make_optimiser(config, rate))(rate=0.0)
+    peak = config.optimiser.learning_rate
+    schedule = optax.warmup_cosine_decay_schedule(0.0, peak, WARMUP, MOMENTS)
     one = jax.tree.map(lambda leaf: leaf[0], run.stacks[0])
     state = start_from_weights(config, init_state(config, run.model, one, optimiser))
     key = root_key(config.seed + 1)
@@ -110,8 +90,8 @@ def main() -> None:
     first, log = time.monotonic(), []
     seconds = max(60 * arguments.minutes - (first - began), 1e-3)
     while (progress := (time.monotonic() - first) / seconds) < 1:
-        rate = np.float32(learning_rate(config, progress))
-        given = state.optimiser._replace(hyperparams={"learning_rate": jax.numpy.asarray(rate)})
+        rate = jax.numpy.asarray(schedule(progress * MOMENTS), jax.numpy.float32)
+        given = state.optimiser._replace(hyperparams={"rate": rate})
         bucket = bucket_of_call(config, shares, len(log))
         start = time.monotonic()
         state, metrics = calls[bucket](state._replace(optimiser=given), key, run.stacks[bucket])

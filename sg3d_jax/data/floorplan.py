@@ -27,6 +27,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.data.buildings import Storey
 from sg3d_jax.data.levels import Floor, Floors
@@ -310,29 +312,20 @@ def find_walls(
       centroid of their strips.
     """
     facing = _without_rooms_between(facing_pairs(sides, config), shapes)
-    first = _first_of_chain(facing.planes, len(sides.room))
-    planes = np.flatnonzero(np.bincount(facing.planes.ravel(), minlength=len(first)))
-    number = np.cumsum(first[planes] == planes) - 1  # of the wall that starts here, or before
-    wall = np.zeros(len(first), int)
-    wall[planes] = number[np.searchsorted(planes, first[planes])]
-    of_pair, num_walls = wall[facing.planes[:, 0]], number[-1] + 1 if len(number) else 0
+    one, other = facing.planes.T
+    num_planes = len(sides.room)
+    links = coo_array((np.ones(len(one)), (one, other)), shape=(num_planes, num_planes))
+    _, chain = connected_components(links, directed=False)
+    planes = np.unique(facing.planes)
+    chains, number = np.unique(chain[planes], return_inverse=True)  # each a wall
+    wall, num_walls = np.zeros(num_planes, int), len(chains)
+    wall[planes] = number
+    of_pair = wall[one]
     length = np.linalg.norm(facing.middle[:, 1] - facing.middle[:, 0], axis=1)
     weighted = length * facing.middle.mean(axis=1).T
     total = np.bincount(of_pair, length, num_walls)
     centre = [np.bincount(of_pair, part, num_walls) / total for part in weighted]
     return np.column_stack([planes, wall[planes]]), np.column_stack(centre)
-
-
-def _first_of_chain(pairs: np.ndarray, num_planes: int) -> np.ndarray:
-    """Returns the first of the planes that each is joined to by a chain of pairs, int[p]."""
-    one, other = pairs.T
-    first = np.arange(num_planes)
-    while (first[one] != first[other]).any():
-        least = np.minimum(first[one], first[other])
-        np.minimum.at(first, one, least)
-        np.minimum.at(first, other, least)
-        first = first[first]
-    return first
 
 
 def facing_pairs(sides: Sides, config: FloorplanConfig) -> Facing:

@@ -54,10 +54,14 @@ def training_graphs(config: DataConfig, *methods: str) -> list[SceneGraph]:
     Raises:
       ValueError: see `load_split`.
     """
-    parts = config.parts
-    before = [parts[:index].count(one) for index, one in enumerate(parts)]
-    sets = [training_set(*pair, *methods) for pair in zip(parts, before, strict=True)]
+    sets = [training_set(*pair, *methods) for pair in numbered_parts(config)]
     return list(itertools.chain(*sets))
+
+
+def numbered_parts(config: DataConfig) -> list[tuple[DataConfig, int]]:
+    """Returns the data sets that are mixed, and how often each was named before."""
+    parts = config.parts
+    return [(one, parts[:index].count(one)) for index, one in enumerate(parts)]
 
 
 def training_set(config: DataConfig, before: int = 0, *methods: str) -> list[SceneGraph]:

@@ -30,15 +30,22 @@ Metrics = dict[str, Float[Array, ""]]
 TrainCall = Callable[[TrainState, Key[Array, ""], SceneGraph], tuple[TrainState, Metrics]]
 
 
-def make_optimiser(config: Config) -> optax.GradientTransformation:
+def make_optimiser(
+    config: Config, rate: optax.ScalarOrSchedule | None = None
+) -> optax.GradientTransformation:
     """Builds AdamW with warm-up, cosine decay to zero over the run, and clipping by global norm.
 
     It works on all parameters as one vector: a few programs to compile, not a few a parameter.
+
+    Args:
+      config: the run.
+      rate: the learning rate; None for the warm-up and decay of the run.
     """
     settings = config.optimiser
-    rate = optax.warmup_cosine_decay_schedule(
-        0.0, settings.learning_rate, settings.warmup_steps, config.steps
-    )
+    if rate is None:
+        rate = optax.warmup_cosine_decay_schedule(
+            0.0, settings.learning_rate, settings.warmup_steps, config.steps
+        )
     return optax.flatten(
         optax.chain(
             optax.clip_by_global_norm(settings.clip_norm),

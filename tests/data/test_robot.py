@@ -6,7 +6,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.data import robot, synthetic
+from sg3d_jax.data import robot
 from sg3d_jax.data.robot import (
     MILD,
     STRONG,
@@ -28,18 +28,7 @@ from sg3d_jax.scene.graph import (
 from sg3d_jax.scene.ontology import CITY, FLOOR, PLANE, ROOM, WALL
 from sg3d_jax.scene.validate import validate_graph
 from tests.own_world import own_world
-from tests.seen_rooms import S_C, S_F, assert_same_graph, row_of_planes, views, wholes
-
-
-@pytest.fixture(scope="module")
-def floors():
-    return [synthetic.make_scene(S_F, 0, index) for index in range(20)]
-
-
-@pytest.fixture(scope="module")
-def cities():
-    return [synthetic.make_scene(S_C, 0, index) for index in range(6)]
-
+from tests.seen_rooms import assert_same_graph, row_of_planes, views, wholes
 
 # --- views ---
 

@@ -10,17 +10,7 @@ from sg3d_jax.data import synthetic
 from sg3d_jax.data.robot import RobotConfig, view
 from sg3d_jax.scene.graph import observed_of, parts_first, subgraph
 from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM
-from tests.seen_rooms import S_C, S_F, assert_same_graph, ends, row_of_planes, views, wholes
-
-
-@pytest.fixture(scope="module")
-def floors():
-    return [synthetic.make_scene(S_F, 0, index) for index in range(20)]
-
-
-@pytest.fixture(scope="module")
-def cities():
-    return [synthetic.make_scene(S_C, 0, index) for index in range(6)]
+from tests.seen_rooms import S_F, assert_same_graph, ends, row_of_planes, views, wholes
 
 
 def test_missing_planes_leave_the_others_as_they_are(floors):
