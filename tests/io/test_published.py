@@ -512,5 +512,5 @@ def test_a_corrupted_file_is_refused_or_holds_a_graph(files, data):
     path.write_bytes(content[:place] + junk + content[place + data.draw(st.integers(0, 9)) :])
     graphs, refused = read_or_refused(path)
     for graph in graphs:
-        validate_graph(graph, "read")
+        validate_graph(graph, "read", rules=False)
     assert graphs or (refused.startswith(f"{path}: ") and "\n" not in refused)
