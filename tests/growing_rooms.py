@@ -29,7 +29,9 @@ class AddRooms:
     def loss(self, params: Any, key: jax.Array, graph: PackedGraph, block: Block) -> Any:
         return jnp.float32(0), {}
 
-    def sample(self, params: Any, key: jax.Array, graph: PackedGraph, mask: jax.Array) -> Block:
+    def sample(
+        self, params: Any, key: jax.Array, graph: PackedGraph, mask: jax.Array, rules: Any = None
+    ) -> Block:
         num_block, num_old = mask.shape[0], graph.nodes.mask.shape[0]
         edges = jnp.zeros((num_block, num_block + num_old), bool)
         edges = edges.at[:, num_block : num_block + 2].set(mask[:, None])
@@ -55,7 +57,9 @@ class Counting(Halt):
 
 def grows_rooms(*coins: int, fill: Fill = AddRooms()) -> Flagg:
     """Returns a model of which nothing is learnt."""
-    return Flagg(FlaggConfig(coins=coins), Even(1, 1, len(coins)), fill, Counting(1, 1))
+    return Flagg(
+        FlaggConfig(coins=coins, constrained=False), Even(1, 1, len(coins)), fill, Counting(1, 1)
+    )
 
 
 MODEL, ONE_BY_ONE = grows_rooms(1, 2), grows_rooms(1)

@@ -18,18 +18,27 @@ PAGES: Final = (".html",)
 
 def read(source: str, index: int | None = None, count: int | None = None) -> list[Any]:
     """Returns graphs of a data set or a file: one of them, or the first so many."""
+    return [each.graph for each in read_with_attributes(source, index, count)]
+
+
+def read_with_attributes(
+    source: str, index: int | None = None, count: int | None = None
+) -> list[Any]:
+    """Returns graphs as `read` does, each with what else a file says of its nodes and edges."""
     from sg3d_jax.data import registry
-    from sg3d_jax.io.formats import read_graphs
+    from sg3d_jax.io import formats
+    from sg3d_jax.io.attributes import bare
 
     if registry.is_name(source):
         graphs = registry.make(source, count if index is None else index + 1)
+        reads = [bare(graph) for graph in graphs]
     else:
-        graphs = read_graphs(source)[: None if index is not None else count]
+        reads = formats.read_with_attributes(source)[: None if index is not None else count]
     if index is None:
-        return graphs
-    if not 0 <= index < len(graphs):
-        raise ValueError(f"{source}: --index must be in 0..{len(graphs) - 1}, got {index}")
-    return [graphs[index]]
+        return reads
+    if not 0 <= index < len(reads):
+        raise ValueError(f"{source}: --index must be in 0..{len(reads) - 1}, got {index}")
+    return [reads[index]]
 
 
 def run_code(files: Code) -> None:

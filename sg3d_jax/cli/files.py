@@ -1,6 +1,6 @@
 """`sg3d view | export`: scene graphs to look at, and for other programs."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from sg3d_jax.cli.arguments import (
     PAGES,
@@ -9,12 +9,14 @@ from sg3d_jax.cli.arguments import (
     Positional,
     check_output,
     counted,
-    read,
+    read_with_attributes,
 )
 
 
 def view(source: Positional[str], output: Output, index: int | None = None) -> None:
     """Draw scene graphs: a picture of one, or an interactive page of all.
+
+    Where a file says how sure nodes and edges are, those that are not are faint.
 
     Args:
       source: a file of graphs or planes in any format, or a data set by name.
@@ -22,17 +24,20 @@ def view(source: Positional[str], output: Output, index: int | None = None) -> N
       index: which graph of several; by default the first for a picture, up to the first hundred
         for a page.
     """
+    from sg3d_jax.io.attributes import node_confidence_of
     from sg3d_jax.viz.figure import save_picture
     from sg3d_jax.viz.page import save_page
 
     check_output(output, (*PICTURES, *PAGES))
     is_page = output.suffix.lower() in PAGES
-    graphs = read(source, index if is_page else index or 0, 100)
+    reads = read_with_attributes(source, index if is_page else index or 0, 100)
+    graphs, edges = [read.graph for read in reads], [read.edge_confidence for read in reads]
+    nodes = [node_confidence_of(read.attributes) for read in reads]
     if is_page:
-        save_page(graphs, output, title=source)
+        save_page(graphs, output, source, node_confidence=nodes, edge_confidence=edges)
         print(f"{output}: page of {counted(len(graphs))} of {source}")
     else:
-        save_picture(graphs[0], output)
+        save_picture(graphs[0], output, node_confidence=nodes[0], edge_confidence=edges[0])
         print(f"{output}: picture of {source}")
 
 
@@ -44,6 +49,9 @@ def export(
     walls: Literal["edges", "metadata"] = "edges",
 ) -> None:
     """Write scene graphs in the format of another program; nothing is lost.
+
+    Ids, further keys of nodes, and how sure nodes and edges are go along; npz has no place for
+    them.
 
     Args:
       source: a file of graphs or planes in any format, or a data set by name.
@@ -58,6 +66,11 @@ def export(
     check_output(output, (".json", ".jsonl", ".graphml", ".npz"))
     if walls != "edges" and to != "spark-dsg":
         raise ValueError(f"--walls {walls} is for --to spark-dsg, got --to {to}")
-    graphs = read(source, index)
-    write_graphs(output, graphs, to, walls=walls)
+    reads = read_with_attributes(source, index)
+    graphs = [read.graph for read in reads]
+    said: dict[str, Any] = {
+        "attributes": [read.attributes for read in reads],
+        "edge_confidence": [read.edge_confidence for read in reads],
+    }
+    write_graphs(output, graphs, to, walls=walls, **({} if to == "npz" else said))
     print(f"{output}: {counted(len(graphs))} as {to}")

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from sg3d_jax.diffusion import categorical
 from sg3d_jax.diffusion.sampler import ancestral_sample
+from sg3d_jax.fill.constraints import Rules, constrained, draw_valid
 from sg3d_jax.fill.protocol import Marginals, Params, Terms, real_pairs
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
@@ -36,6 +37,9 @@ def _join(square: Array, cross: Array, block_mask: Array, old_mask: Array) -> Ar
     """Joins both parts of the rectangle and clears what is not a real pair."""
     real = block_mask[:, None] & jnp.concatenate([block_mask, old_mask])[None, :]
     return jnp.concatenate([_mirror(square), cross], axis=1) * real
+
+
+Logits = tuple[Float[Array, "M C"], Float[Array, "M tokens 2"]]  # of labels and edges
 
 
 class Levels(NamedTuple):
@@ -123,15 +127,18 @@ def reverse_step(
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
     marginals: Marginals,
+    rules: Rules | None = None,
 ) -> Topology:
     """Draws the topology at an earlier diffusion time, given the prediction of the clean one.
+
+    Of what the rules forbid, the prediction is zero.
 
     Source: paper, Eq. (digress_transition).
     """
     # A class of no marginal probability, such as an observed one, would never be left again.
     logits_label = jnp.where((marginals.label > 0)[None], logits_label, -jnp.inf)
     keys = jax.random.split(key, 3)
-    probs_label, probs_edge = jax.nn.softmax(logits_label), jax.nn.softmax(logits_edge)
+    probs_label, probs_edge = constrained(rules, logits_label, logits_edge)
     levels = signal_next.edge, signal_now.edge
     num_block = block_mask.shape[0]
 
@@ -145,6 +152,37 @@ def reverse_step(
     probs = categorical.posterior(probs_label, noisy.label, *levels_label, marginals.label)
     label = categorical.draw(keys[2], probs)
     return Topology(label, _join(square, cross, block_mask, old_mask))
+
+
+def no_logits(
+    block_mask: Bool[Array, " M"], old_mask: Bool[Array, " N"], num_concepts: int
+) -> Logits:
+    """Returns logits that say nothing, of labels and edges: what is predicted before any step."""
+    num_block, num_old = block_mask.shape[0], old_mask.shape[0]
+    edge = jnp.zeros((num_block, num_block + num_old, 2))
+    return jnp.zeros((num_block, num_concepts)), edge
+
+
+def settled(
+    key: Key[Array, ""],
+    topology: Topology,
+    logits: Logits,
+    block_mask: Bool[Array, " M"],
+    rules: Rules | None,
+) -> tuple[Topology, Bool[Array, " M"]]:
+    """Returns the topology at time 0 and which nodes there are.
+
+    Args:
+      key: one draw.
+      topology: what the last step drew, each edge by itself.
+      logits: what it predicted: of them a topology is drawn that obeys the rules.
+      block_mask: the nodes that are asked for.
+      rules: of the old graph; None to take what the last step drew.
+    """
+    if rules is None:
+        return topology, block_mask
+    label, edges, mask = draw_valid(key, rules, *logits, block_mask)
+    return Topology(label, edges.astype(jnp.int32)), mask
 
 
 def loss(
@@ -176,19 +214,28 @@ def sample(
     schedule: Float[Array, " times"],
     num_steps: int,
     marginals: Marginals,
-) -> Topology:
+    rules: Rules | None = None,
+) -> tuple[Topology, Bool[Array, " M"]]:
     """Draws the topology of the places in `block_mask` by the reverse process.
 
     It takes `num_steps` sampling steps, a stride over the trained schedule.
+
+    Returns:
+      The topology, and which nodes there are: those that the rules leave room for.
     """
-    key_start, key_steps = jax.random.split(key)
+    key_start, key_steps, key_last = jax.random.split(key, 3)
     masks = block_mask, conditioning.mask
 
-    def step(key: Array, noisy: Topology, now: Array, then: Array) -> Topology:
+    def step(
+        key: Array, state: tuple[Topology, Logits], now: Array, then: Array
+    ) -> tuple[Topology, Logits]:
+        noisy, _ = state
         time = now.astype(jnp.float32)
         logits = apply(network, params, conditioning, block_mask, *noisy, time)
         levels = (Levels(schedule[then], schedule[then]), Levels(schedule[now], schedule[now]))
-        return reverse_step(key, noisy, *logits, *levels, *masks, marginals)
+        return reverse_step(key, noisy, *logits, *levels, *masks, marginals, rules), logits
 
-    start = draw_start(key_start, *masks, marginals)
-    return ancestral_sample(step, start, key_steps, schedule.shape[0] - 1, num_steps)
+    start = draw_start(key_start, *masks, marginals), no_logits(*masks, marginals.label.shape[0])
+    times = schedule.shape[0] - 1, num_steps
+    topology, logits = ancestral_sample(step, start, key_steps, *times)
+    return settled(key_last, topology, logits, block_mask, rules)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from sg3d_jax.diffusion.schedules import cosine
 from sg3d_jax.fill import digress, distance
+from sg3d_jax.fill.constraints import Rules
 from sg3d_jax.fill.mds import recover_positions
 from sg3d_jax.fill.protocol import Params, Statistics, Terms
 from sg3d_jax.nn.apply import apply
@@ -127,12 +128,13 @@ class FD4:
         key: Key[Array, ""],
         graph: SceneGraph,
         block_mask: Bool[Array, " M"],
+        rules: Rules | None = None,
     ) -> Block:
         """Draws a block: topology, then distances on its edges, then centroids that fit them."""
         config, schedule = self.config, cosine(self.config.diffusion_steps)
         key_topology, key_distance = jax.random.split(key)
         conditioning = apply(self.encoder, params["encoder"], graph)
-        drawn = digress.sample(
+        drawn, mask = digress.sample(
             self.topology,
             params["topology"],
             key_topology,
@@ -141,6 +143,7 @@ class FD4:
             schedule,
             config.topology_steps,
             self.statistics.marginals,
+            rules,
         )
         edges = drawn.edges == 1
         metres = distance.sample(
@@ -157,5 +160,5 @@ class FD4:
         above = jnp.asarray(self.ontology.is_above)[drawn.label]
         old = conditioning.surface, conditioning.mask
         position = recover_positions(metres, edges, *old, above)
-        label = jnp.where(block_mask, drawn.label, 0)
-        return Block(label, jnp.where(block_mask[:, None], position, 0.0), edges, block_mask)
+        label = jnp.where(mask, drawn.label, 0)
+        return Block(label, jnp.where(mask[:, None], position, 0.0), edges, mask)

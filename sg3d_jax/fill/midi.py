@@ -14,7 +14,8 @@ from sg3d_jax.diffusion import gaussian
 from sg3d_jax.diffusion.sampler import ancestral_sample
 from sg3d_jax.diffusion.schedules import cosine
 from sg3d_jax.fill import digress
-from sg3d_jax.fill.digress import Levels, Topology
+from sg3d_jax.fill.constraints import Rules
+from sg3d_jax.fill.digress import Levels, Logits, Topology
 from sg3d_jax.fill.protocol import (
     Marginals,
     Params,
@@ -229,6 +230,7 @@ def reverse_step(
     block_mask: Bool[Array, " M"],
     old_mask: Bool[Array, " N"],
     marginals: Marginals,
+    rules: Rules | None = None,
 ) -> State:
     """Draws the block at an earlier diffusion time, given the prediction of the clean one.
 
@@ -241,7 +243,14 @@ def reverse_step(
     masks = block_mask, old_mask
     return State(
         topology=digress.reverse_step(
-            key_topology, noisy.topology, logits_label, logits_edge, *levels, *masks, marginals
+            key_topology,
+            noisy.topology,
+            logits_label,
+            logits_edge,
+            *levels,
+            *masks,
+            marginals,
+            rules,
         ),
         position=gaussian.reverse_step(
             noise, position, noisy.position, signal_next.position, signal_now.position
@@ -334,22 +343,29 @@ class MiDi:
         key: Key[Array, ""],
         graph: SceneGraph,
         block_mask: Bool[Array, " M"],
+        rules: Rules | None = None,
     ) -> Block:
         """Draws a block, all of it at once, in the frame of the old graph."""
         conditioning = apply(self.encoder, params["encoder"], graph)
         schedules = make_schedules(self.config)
         frame, marginals = self.prior(graph)
         masks = block_mask, conditioning.mask
-        key_start, key_steps = jax.random.split(key)
+        key_start, key_steps, key_last = jax.random.split(key, 3)
 
-        def step(key: Array, noisy: State, now: Array, then: Array) -> State:
+        def step(
+            key: Array, state: tuple[State, Logits], now: Array, then: Array
+        ) -> tuple[State, Logits]:
+            noisy, _ = state
             signal = schedules.at(now)
             known = conditioning, frame, block_mask
             predicted = denoise(self.network, params["denoiser"], *known, noisy, signal, now)
-            return reverse_step(
-                key, noisy, predicted, schedules.at(then), signal, *masks, marginals
-            )
+            levels = schedules.at(then), signal
+            drawn = reverse_step(key, noisy, predicted, *levels, *masks, marginals, rules)
+            return drawn, predicted[:2]
 
-        start = draw_start(key_start, *masks, marginals)
+        nothing = digress.no_logits(*masks, self.ontology.num_concepts)
+        start = draw_start(key_start, *masks, marginals), nothing
         times = self.config.diffusion_steps, self.config.sampling_steps
-        return to_block(ancestral_sample(step, start, key_steps, *times), frame, block_mask)
+        state, logits = ancestral_sample(step, start, key_steps, *times)
+        topology, mask = digress.settled(key_last, state.topology, logits, block_mask, rules)
+        return to_block(State(topology, state.position), frame, mask)

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from sg3d_jax.fill.constraints import Rules
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.scene.padding import Block
@@ -75,8 +76,12 @@ class Fill(Protocol):
         key: Key[Array, ""],
         graph: SceneGraph,
         block_mask: Bool[Array, " M"],
+        rules: Rules | None = None,
     ) -> Block:
-        """Draws a block of the places in the mask, given the old graph."""
+        """Draws a block of the places in the mask, given the old graph, within the rules.
+
+        The mask of the block leaves out the nodes for which the rules leave no room.
+        """
         ...
 
 

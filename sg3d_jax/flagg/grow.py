@@ -62,25 +62,28 @@ def grow(
     Source: paper, Sec. "Generating 3DSGs".
     """
     graph, key = connect_observed(given), unrolled(key)
-    reason = jnp.asarray(RUNNING)
+    reason, closing = jnp.asarray(RUNNING), jnp.zeros((), bool)
     if ask_first:
         is_asked = jnp.any(graph.nodes.mask & ~graph.nodes.observed) & (jnp.asarray(steps) == 0)
-        halts = model.halts(params, jax.random.fold_in(key, max_steps), graph)
-        reason = jnp.where(is_asked & halts, HALTED, RUNNING)
+        halted, closing = model.halts(params, jax.random.fold_in(key, max_steps), graph)
+        reason, closing = jnp.where(is_asked & halted, HALTED, RUNNING), is_asked & closing
 
-    def running(state: tuple[PackedGraph, Array, Array]) -> Bool[Array, ""]:
+    def running(state: tuple[PackedGraph, Array, Array, Array]) -> Bool[Array, ""]:
         return state[1] == RUNNING
 
-    def step(state: tuple[PackedGraph, Array, Array]) -> tuple[PackedGraph, Array, Array]:
-        graph, _, steps = state
-        grown = model.step(params, jax.random.fold_in(key, steps), graph)
+    def step(
+        state: tuple[PackedGraph, Array, Array, Array],
+    ) -> tuple[PackedGraph, Array, Array, Array]:
+        graph, _, steps, closing = state
+        grown = model.step(params, jax.random.fold_in(key, steps), graph, closing)
         steps = steps + grown.fits
         reason = jnp.where(steps >= max_steps, MAX_STEPS, RUNNING)
         reason = jnp.where(grown.halted, HALTED, reason)
-        return grown.graph, jnp.where(grown.fits, reason, CAPACITY), steps
+        reason = jnp.where(grown.fits, reason, CAPACITY)
+        return grown.graph, reason, steps, grown.closing
 
-    start = graph, reason, jnp.asarray(steps, jnp.int32)
-    graph, reason, steps = jax.lax.while_loop(running, step, start)
+    start = graph, reason, jnp.asarray(steps, jnp.int32), closing
+    graph, reason, steps, _ = jax.lax.while_loop(running, step, start)
     return Grown(without_proximity(graph), reason, steps)
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
 from sg3d_jax.diffusion.threefry import unrolled
+from sg3d_jax.fill.constraints import Rules, is_whole, rules_of
 from sg3d_jax.fill.protocol import Fill, Terms
 from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
 from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss
@@ -36,6 +37,7 @@ class FlaggConfig:
     width: int = 32  # of Insert and Halt
     depth: int = 2  # GINE layers of Insert and Halt
     halt_by_threshold: bool = True  # False: by a draw
+    constrained: bool = True  # whether what is grown obeys the rules of the ontology
 
     def __post_init__(self) -> None:
         """Refuses continuations where one node alone may come next."""
@@ -60,6 +62,7 @@ class Growth(NamedTuple):
     graph: PackedGraph  # with the block, if it fitted
     halted: Array  # bool[], Halt's decision
     fits: Array  # bool[], whether the block had room; the graph is unchanged if not
+    closing: Array  # bool[], Halt would end, but something grown still lacks its whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,8 +130,20 @@ class Flagg:
         terms["halt"] = halt_loss(self.halt.logit(params.halt, old), cut.complete, cut.inserted)
         return fill_loss + terms["insert"] + terms["halt"], terms
 
-    def step(self, params: Params, key: Key[Array, ""], graph: PackedGraph) -> Growth:
+    def step(
+        self,
+        params: Params,
+        key: Key[Array, ""],
+        graph: PackedGraph,
+        closing: Bool[Array, ""] | bool = False,
+    ) -> Growth:
         """Inserts one block into a packed graph and asks Halt.
+
+        Args:
+          params: of the three modules.
+          key: of all that is drawn.
+          graph: to be grown.
+          closing: whether only what gives a node the whole that it lacks may come.
 
         Source: paper, Eq. (flagg_transition).
         """
@@ -136,17 +151,33 @@ class Flagg:
         coins = self.config.coins
         size = draw_size(key_insert, self.insert.logits(params.insert, graph), coins)
         block_mask: Bool[Array, " M"] = jnp.arange(max(coins)) < size
-        block: Block = self.fill.sample(params.fill, key_fill, graph, block_mask)
+        rules = self._rules(graph, closing) if self.config.constrained else None
+        block: Block = self.fill.sample(params.fill, key_fill, graph, block_mask, rules)
         grown, fits = append_block(graph, block)
         if self.fill.kin:
             fits &= kin_fit(grown)
         grown = jax.tree.map(lambda new, old: jnp.where(fits, new, old), grown, graph)
-        return Growth(grown, self.halts(params, key_halt, grown), fits)
+        halted, closing = self.halts(params, key_halt, grown)
+        return Growth(grown, halted, fits, closing)
 
-    def halts(self, params: Params, key: Key[Array, ""], graph: SceneGraph) -> Bool[Array, ""]:
-        """Returns Halt's decision on a padded graph."""
+    def halts(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
+    ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+        """Returns whether a padded graph is at its end, and whether it is but for what closes it.
+
+        A graph in which something grown lacks the whole that is due does not end while a block can
+        mend that; one to which nothing can be added does.
+        """
         logit = self.halt.logit(params.halt, graph)
-        return draw_halt(key, logit, self.config.halt_by_threshold)
+        wants = draw_halt(key, logit, self.config.halt_by_threshold)
+        if not self.config.constrained:
+            return wants, jnp.zeros((), bool)
+        ends = is_whole(graph, self.config.layers) | ~jnp.any(self._rules(graph, True).label)
+        halted = (wants & ends) | ~jnp.any(self._rules(graph).label)
+        return halted, wants & ~halted
+
+    def _rules(self, graph: SceneGraph, closing: Bool[Array, ""] | bool = False) -> Rules:
+        return rules_of(graph, max(self.config.coins), self.config.layers, closing)
 
 
 def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:

@@ -1,42 +1,44 @@
-"""A choice among several candidates that needs no truth: the medoid under FGW."""
+"""A choice among several candidates that needs no truth: the valid one that agrees most.
 
-import itertools
+That one, and not the medoid under FGW: a graph is likely to be right if others have what it has,
+while what others have beside it says less, because what most draws have and one lacks is mended
+afterwards (`consensus`). It also costs no FGW.
+"""
+
+from collections import Counter
 from collections.abc import Sequence
 
-import numpy as np
-
-from sg3d_jax.metrics.fgw import fgw_pairs
+from sg3d_jax.metrics.calibration import identities
+from sg3d_jax.metrics.oddities import oddities
+from sg3d_jax.metrics.structure import num_forbidden_edges
 from sg3d_jax.scene.graph import SceneGraph
 
 
-def medoids(candidates: Sequence[Sequence[SceneGraph]]) -> list[int]:
-    """Chooses of each scene the candidate with the least mean FGW to the others.
+def most_agreeing(candidates: Sequence[SceneGraph], num_given: int) -> int:
+    """Chooses the candidate whose grown nodes are, in the mean, in most of the others.
 
-    A model that has learnt the posterior of a scene draws most candidates near its mode, and each
-    mistake but rarely: the medoid is the draw of least expected FGW to another draw.
+    Two nodes are the same if they are of one concept and over the same observed nodes. Candidates
+    that break a rule of the ontology are chosen only if all do.
 
     Args:
-      candidates: of each scene, at least one host graph, all over the same planes.
+      candidates: at least one host graph, all over the same given nodes.
+      num_given: how many of their first nodes were given.
 
     Returns:
-      The index of the chosen one of each scene; the first of several that are equally good.
+      Its index; the first of several that are equally good.
 
     Raises:
-      ValueError: a scene has no candidates.
+      ValueError: there are no candidates.
     """
-    for scene, graphs in enumerate(candidates):
-        if not graphs:
-            raise ValueError(f"scene {scene} has no candidates, expected at least one")
-    pairs = [
-        (scene, *pair)
-        for scene, graphs in enumerate(candidates)
-        for pair in itertools.combinations(range(len(graphs)), 2)
-    ]
-    if not pairs:
-        return [0] * len(candidates)
-    left, right = ([candidates[pair[0]][pair[side]] for pair in pairs] for side in (1, 2))
-    values = np.asarray(fgw_pairs(left, right).value, np.float64)
-    total = [np.zeros(len(graphs)) for graphs in candidates]
-    for (scene, first, second), value in zip(pairs, values, strict=True):
-        total[scene][[first, second]] += value
-    return [int(np.argmin(sums)) for sums in total]
+    if not candidates:
+        raise ValueError("a scene has no candidates, expected at least one")
+    grown = [identities(graph)[num_given:] for graph in candidates]
+    holders = Counter(identity for of_graph in grown for identity in of_graph)
+    share = [sum(holders[one] for one in nodes) / max(1, len(nodes)) for nodes in grown]
+    valid = [not num_flaws(graph) for graph in candidates]
+    return max(range(len(candidates)), key=lambda index: (valid[index], share[index]))
+
+
+def num_flaws(graph: SceneGraph) -> int:
+    """Counts what is against the ontology, or odd, in a host graph."""
+    return oddities(graph).total() + num_forbidden_edges(graph)

@@ -10,7 +10,8 @@
 
 What is in a JSON file is told by its keys. Read, too, are the published pickles (.zip, .pkl),
 planes (`io.planes`; a .csv file, or {"planes": [...]}) and planes as S-Graphs sends them. A file of
-graphs whose concepts are not the paper's says so: its `ontology` comes back with them.
+graphs whose concepts are not the paper's says so: its `ontology` comes back with them. So do ids,
+further keys of nodes, and how sure nodes and edges are (`io.attributes`), but for npz and pickles.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,15 +20,23 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from sg3d_jax.io import npz, published
-from sg3d_jax.io.attributes import Attributes, Read, check_attributes
+from sg3d_jax.io.attributes import (
+    Attributes,
+    Read,
+    bare,
+    check_attributes,
+    check_edge_confidence,
+)
 from sg3d_jax.io.files import read_documents, write_document, write_documents
+from sg3d_jax.io.graphml import NAMES as GRAPHML_NAMES
 from sg3d_jax.io.graphml import read_graphml, write_graphml
 from sg3d_jax.io.json import graph_to_dict, read_dict
-from sg3d_jax.io.networkx import graph_from_node_link, graph_to_node_link
+from sg3d_jax.io.networkx import NAMES as NETWORKX_NAMES
+from sg3d_jax.io.networkx import graph_to_node_link, read_node_link
 from sg3d_jax.io.planes import read_csv, read_planes_dict
 from sg3d_jax.io.s_graphs import read_message
-from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg
-from sg3d_jax.scene.graph import SceneGraph, observed_of
+from sg3d_jax.io.spark_dsg import graph_to_spark_dsg, names_in_metadata, read_spark_dsg
+from sg3d_jax.scene.graph import Array, SceneGraph, observed_of, ontology_of
 from sg3d_jax.scene.validate import check_observed, validate_graph
 
 FORMATS: Final = ("json", "networkx", "spark-dsg", "graphml", "npz")
@@ -36,9 +45,9 @@ PICKLES: Final = (".zip", *published.SUFFIXES)
 READABLE: Final = (*DOCUMENTS, ".npz", ".graphml", ".csv", *PICKLES)
 
 # A key that tells what a JSON document is, and how it is read; the first that fits.
-_DOCUMENTS: Final[tuple[tuple[str, Callable[[Any, str], SceneGraph | Read]], ...]] = (
-    ("SPARK_DSG_header", graph_from_spark_dsg),
-    ("multigraph", graph_from_node_link),
+_DOCUMENTS: Final[tuple[tuple[str, Callable[[Any, str], Read]], ...]] = (
+    ("SPARK_DSG_header", read_spark_dsg),
+    ("multigraph", read_node_link),
     ("planes", read_planes_dict),
     ("x_planes", read_message),
     ("nodes", read_dict),
@@ -62,10 +71,10 @@ def read_graphs(path: str | Path) -> list[SceneGraph]:
 
 
 def read_with_attributes(path: str | Path) -> list[Read]:
-    """Returns the host graphs of a file, each with what else the file says of its nodes.
+    """Returns the host graphs of a file, each with what else the file says of its nodes and edges.
 
-    JSON (graphs, planes) and CSV have attributes of any name, S-Graphs ids; other formats have none
-    that are read.
+    S-Graphs has ids, npz and pickles have nothing that is read; other formats have attributes of
+    any name, and graphs in JSON, Spark-DSG, networkx and GraphML may say how sure edges are.
 
     Raises:
       ValueError: one sentence that names the file, the graph and the field.
@@ -76,11 +85,11 @@ def read_with_attributes(path: str | Path) -> list[Read]:
     if suffix == ".csv":
         return [read_csv(path)]
     if suffix == ".npz":
-        return [_bare(graph) for graph in npz.load(path, rules=False).graphs]
+        return [bare(graph) for graph in npz.load(path, rules=False).graphs]
     if suffix == ".graphml":
-        return [_bare(read_graphml(path))]
+        return [read_graphml(path)]
     if suffix in PICKLES:
-        return [_bare(graph) for graph in published.read_published(path)]
+        return [bare(graph) for graph in published.read_published(path)]
     raise ValueError(f"{path}: the name ends in {suffix!r}, expected one of {', '.join(READABLE)}")
 
 
@@ -109,6 +118,7 @@ def write_graphs(
     extras: Sequence[Mapping[str, Any]] | None = None,
     walls: str = "edges",
     attributes: Sequence[Attributes] | None = None,
+    edge_confidence: Sequence[Array | None] | None = None,
 ) -> None:
     """Writes host graphs in a format; reading them back gives the same graphs, digit for digit.
 
@@ -119,7 +129,10 @@ def write_graphs(
       extras: what else the JSON document of each graph should say of it, such as `halt_reason`;
         readers ignore it.
       walls: for Spark-DSG, see `graph_to_spark_dsg`.
-      attributes: what else is said of the nodes of each graph, in JSON alone.
+      attributes: what else is said of the nodes of each graph, such as `id` and `confidence`; npz
+        has no place for it.
+      edge_confidence: of each graph how sure its edges are, float[e], 0 to 1, of the rows of
+        `parts_first(graph)`, or None; npz has no place for it.
 
     Raises:
       ValueError: a graph breaks the data model, the suffix is not one of the format, attributes
@@ -127,22 +140,28 @@ def write_graphs(
     """
     path = Path(path)
     check_writable(path, len(graphs), to)
-    if attributes is not None and to != "json":
-        raise ValueError(f"{path}: there are attributes, expected none for {to}")
     if to == "npz":
+        if attributes is not None:
+            raise ValueError(f"{path}: there are attributes, expected none for {to}")
+        if edge_confidence is not None:
+            raise ValueError(f"{path}: there is edge_confidence, expected none for {to}")
         npz.save(path, graphs, {}, rules=False)
         return
-    for index, graph in enumerate(graphs):
-        validate_graph(graph, f"{path}: graph {index}", rules=False)
+    nothing = [None] * len(graphs)
+    held = nothing if attributes is None else attributes
+    sure = nothing if edge_confidence is None else edge_confidence
+    said = [
+        _checked(*beside, to, f"{path}: graph {index}")
+        for index, beside in enumerate(zip(graphs, held, sure, strict=True))
+    ]
     if to == "graphml":
-        write_graphml(path, graphs[0])
+        write_graphml(path, graphs[0], **said[0])
     else:
         extras = [{}] * len(graphs) if extras is None else extras
         options = {"walls": walls} if to == "spark-dsg" else {}
-        held = [{}] * len(graphs) if attributes is None else _checked(attributes, path)
         documents = [
-            _WRITERS[to](graph, **options, **of_nodes, **extra)
-            for graph, of_nodes, extra in zip(graphs, held, extras, strict=True)
+            _WRITERS[to](graph, **options, **of_graph, **extra)
+            for graph, of_graph, extra in zip(graphs, said, extras, strict=True)
         ]
         if path.suffix.lower() == ".json":
             write_document(path, documents[0])
@@ -169,11 +188,31 @@ def check_writable(path: str | Path, num_graphs: int, to: str) -> None:
         raise ValueError(f"{path}: holds one graph, expected {instead} for {num_graphs} graphs")
 
 
-def _checked(attributes: Sequence[Attributes], path: Path) -> list[dict[str, Attributes]]:
-    """Returns the attributes of each graph as a writer takes them."""
-    for index, of_nodes in enumerate(attributes):
-        check_attributes(of_nodes, f"{path}: graph {index}")
-    return [{"attributes": of_nodes} for of_nodes in attributes]
+def _checked(
+    graph: SceneGraph,
+    attributes: Attributes | None,
+    edge_confidence: Array | None,
+    to: str,
+    where: str,
+) -> dict[str, Any]:
+    """Returns what a writer takes beside a graph, when all three have been looked at."""
+    validate_graph(graph, where, rules=False)
+    if attributes is not None:
+        num_nodes = len(graph.nodes.label)
+        if len(attributes) != num_nodes:
+            problem = f"attributes of {len(attributes)} nodes, expected those of {num_nodes}"
+            raise ValueError(f"{where}: there are {problem}")
+        check_attributes(attributes, where, names=_names(graph, to))
+    if edge_confidence is not None:
+        check_edge_confidence(edge_confidence, graph, where)
+    return {"attributes": attributes, "edge_confidence": edge_confidence}
+
+
+def _names(graph: SceneGraph, to: str) -> tuple[str, ...]:
+    """Returns what a format says of nodes itself, beside what all of them say."""
+    if to == "spark-dsg":
+        return names_in_metadata(ontology_of(graph))
+    return {"networkx": NETWORKX_NAMES, "graphml": GRAPHML_NAMES}.get(to, ())
 
 
 def _read(document: Any, where: str) -> Read:
@@ -181,12 +220,6 @@ def _read(document: Any, where: str) -> Read:
     keys = document if isinstance(document, dict) else {}
     for key, read in _DOCUMENTS:
         if key in keys:
-            made = read(document, where)
-            return made if isinstance(made, Read) else _bare(made)
+            return read(document, where)
     expected = "nodes and edges, or planes"
     raise ValueError(f"{where}: the document has no key that tells what it is, expected {expected}")
-
-
-def _bare(graph: SceneGraph) -> Read:
-    """Returns a graph of whose nodes nothing else is said."""
-    return Read(graph, [{}] * len(graph.nodes.label))

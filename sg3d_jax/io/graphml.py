@@ -1,19 +1,27 @@
 """Scene graphs as GraphML, the XML that networkx, Gephi and yEd read: one graph a file.
 
 GraphML has scalars only, so that vectors are spread: nodes have `concept`, `x`, `y`, `z` and, if
-planes, `normal_x`, `normal_y`, `normal_z`, `width`; edges have `kind`; the graph has `ontology`, as
-JSON, if its concepts are not the paper's. Numbers survive exactly.
+planes, `normal_x`, `normal_y`, `normal_z`, `width`; edges have `kind`, and may have `confidence`;
+the graph has `ontology`, as JSON, if its concepts are not the paper's. Numbers survive exactly.
+
+What else a node has are its attributes (`io.attributes`). Numbers, truth values and printable texts
+are written as they are; lists, objects, null and any other text, such as one that could be taken
+for a list, as JSON. The id of a node is that of the XML; digits mean a number.
 """
 
 import json
+import math
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from sg3d_jax.io.attributes import ID, Attributes, Read, further, value_in
 from sg3d_jax.io.files import parsed, replacing
-from sg3d_jax.io.networkx import from_networkx, to_networkx
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.io.networkx import NAMES as NODE_NAMES
+from sg3d_jax.io.networkx import read_networkx, to_networkx
+from sg3d_jax.scene.graph import Array, SceneGraph
 from sg3d_jax.scene.ontology import FEATURES
 from sg3d_jax.scene.validate import validate_graph
 
@@ -25,14 +33,24 @@ VECTORS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         if shape
     }
 )
+NAMES: Final = (*NODE_NAMES, *chain(*VECTORS.values()))  # what nodes have beside features
+JSON_STARTS: Final = ("[", "{", '"')
+UNREADABLE: Final = ("self", "node_for_adding")  # names that networkx's reader trips over
 
 
-def write_graphml(path: str | Path, graph: SceneGraph) -> None:
+def write_graphml(
+    path: str | Path,
+    graph: SceneGraph,
+    attributes: Attributes | None = None,
+    edge_confidence: Array | None = None,
+) -> None:
     """Writes a host graph as a GraphML file.
 
     Args:
       path: the file to write.
       graph: unpadded, metres.
+      attributes: what else to say of each node, of `check_attributes` with `NAMES`.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
 
     Raises:
       ValueError: the graph breaks the data model, or the file cannot be written.
@@ -40,19 +58,20 @@ def write_graphml(path: str | Path, graph: SceneGraph) -> None:
     import networkx
 
     validate_graph(graph, f"{path}", rules=False)
-    made = to_networkx(graph)
+    held = None if attributes is None else [_written(of_node) for of_node in attributes]
+    made = to_networkx(graph, held, edge_confidence)
     if "ontology" in made.graph:
         made.graph["ontology"] = json.dumps(made.graph["ontology"])
-    for attributes in made.nodes.values():
+    for of_node in made.nodes.values():
         for vector, scalars in VECTORS.items():
-            if vector in attributes:
-                attributes.update(zip(scalars, attributes.pop(vector), strict=True))
+            if vector in of_node:
+                of_node.update(zip(scalars, of_node.pop(vector), strict=True))
     with replacing(path) as temporary, temporary.open("wb") as file:
         networkx.write_graphml_xml(made, file)
 
 
-def read_graphml(path: str | Path) -> SceneGraph:
-    """Returns the host graph of a GraphML file.
+def read_graphml(path: str | Path) -> Read:
+    """Returns the host graph of a GraphML file, and what else it says of nodes and edges.
 
     Raises:
       ValueError: one sentence that names the file, the node or edge and the field.
@@ -68,9 +87,62 @@ def read_graphml(path: str | Path) -> SceneGraph:
         raise ValueError(f"{path}: not GraphML that can be read ({error!r:.80})") from error
     if "ontology" in made.graph:
         made.graph["ontology"] = parsed(f"{made.graph['ontology']}", f"{path}: ontology")
-    for name, attributes in made.nodes.items():
-        _gather(attributes, f"{path}: node {name!r:.40}")
-    return from_networkx(made, f"{path}")
+    for name, of_node in made.nodes.items():
+        _gather(of_node, f"{path}: node {name!r:.40}")
+    read = read_networkx(made, f"{path}")
+    return read._replace(attributes=[_read(of_node) for of_node in read.attributes])
+
+
+def _written(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns attributes of a node of which each is a scalar that XML can hold."""
+    name = attributes.get(ID)
+    if isinstance(name, str):
+        name = json.dumps(name) if value_in(name, (int,)) != name else _text_of(name)
+    others = further(attributes, (ID,)).items()
+    named = {} if name is None else {ID: name}
+    return named | {_name_of(key): _scalar_of(value) for key, value in others}
+
+
+def _read(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns what the attributes of a node were before they were written."""
+    name = value_in(attributes[ID], (int,))
+    others = further(attributes, (ID,)).items()
+    named = {ID: _text_in(name) if isinstance(name, str) else name}
+    return named | {_text_in(key): _value_of(value) for key, value in others}
+
+
+def _scalar_of(value: Any) -> bool | int | float | str:
+    """Returns a number as it is, and anything else as text from which it is told."""
+    if isinstance(value, (bool, int, float)):
+        return value
+    return _text_of(value) if isinstance(value, str) else json.dumps(value)
+
+
+def _name_of(key: str) -> str:
+    return json.dumps(key) if key in UNREADABLE else _text_of(key)
+
+
+def _text_of(text: str) -> str:
+    """Returns a text as it is or, if XML could not hold it or it looks like JSON, as JSON."""
+    plain = text.isprintable() and text != "null" and not text.startswith(JSON_STARTS)
+    return text if plain else json.dumps(text)
+
+
+def _text_in(text: str) -> str:
+    value = _value_of(text)
+    return value if isinstance(value, str) else text
+
+
+def _value_of(value: Any) -> Any:
+    """Returns what a scalar of a file stands for; no number that JSON has not."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return f"{value}"
+    if not isinstance(value, str) or not (value == "null" or value.startswith(JSON_STARTS)):
+        return value
+    try:
+        return json.loads(value)
+    except (ValueError, RecursionError):  # text of others that only begins like JSON
+        return value
 
 
 def _gather(attributes: dict[str, Any], where: str) -> None:
@@ -80,4 +152,4 @@ def _gather(attributes: dict[str, Any], where: str) -> None:
         if 0 < len(missing) < len(scalars):
             raise ValueError(f"{where} lacks {missing[0]!r}, expected {', '.join(scalars)}")
         if not missing:
-            attributes[vector] = [attributes[scalar] for scalar in scalars]
+            attributes[vector] = [attributes.pop(scalar) for scalar in scalars]

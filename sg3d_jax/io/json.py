@@ -5,16 +5,27 @@
 are the part-of edges, the part first, by id. Proximity edges, if the graph has any, are under
 `proximity_edges`; concepts that are not the paper's under `ontology`. Numbers survive exactly.
 Further keys of a node are its attributes (`io.attributes`), and so is an id that is not its row.
+`edge_confidence`, if there is one, has a number from 0 to 1 for each of `edges`.
 """
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.io.attributes import ID, OWN, Attributes, Read, check_id, further, node_ids
+from sg3d_jax.io.attributes import (
+    ID,
+    OWN,
+    Attributes,
+    Read,
+    check_id,
+    edge_confidence_of,
+    further,
+    node_ids,
+)
 from sg3d_jax.io.files import vector
 from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
 from sg3d_jax.scene.graph import (
+    Array,
     SceneGraph,
     ontology_of,
     parts_first,
@@ -23,15 +34,21 @@ from sg3d_jax.scene.graph import (
 from sg3d_jax.scene.ontology import FEATURES, PROXIMITY, Ontology
 from sg3d_jax.scene.validate import validate_graph
 
+SURE: Final = "edge_confidence"
+
 
 def graph_to_dict(
-    graph: SceneGraph, attributes: Attributes | None = None, **extra: Any
+    graph: SceneGraph,
+    attributes: Attributes | None = None,
+    edge_confidence: Array | None = None,
+    **extra: Any,
 ) -> dict[str, Any]:
     """Returns a host graph as a JSON document.
 
     Args:
       graph: unpadded, metres.
       attributes: what else to say of each node, of `check_attributes`.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
       **extra: what else the document should say, such as `halt_reason`; JSON values.
 
     Returns:
@@ -53,6 +70,8 @@ def graph_to_dict(
         for pairs in (parts_first(graph), undirected_edges(graph, PROXIMITY))
     )
     optional = {"proximity_edges": proximity} if proximity else {}
+    if edge_confidence is not None:
+        optional |= {SURE: np.asarray(edge_confidence).tolist()}
     return dict(**stated(ontology_of(graph)), nodes=nodes, edges=edges, **optional, **extra)
 
 
@@ -84,7 +103,10 @@ def read_dict(document: Any, where: str = "graph") -> Read:
     proximity = _pairs(document, "proximity_edges", row_of_id, where)
     graph = graph_of(rows, ontology, part_of, proximity)
     validate_graph(graph, where, rules=False)
-    return Read(graph, [further(node, OWN) for node in nodes])
+    said = document.get(SURE)
+    fits = isinstance(said, list) and len(said) == len(part_of)
+    sure = edge_confidence_of(part_of, said) if fits else None
+    return Read(graph, [further(node, OWN) for node in nodes], sure)
 
 
 def _node(node: Any, ontology: Ontology, where: str) -> Record:

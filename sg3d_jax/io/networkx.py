@@ -5,19 +5,35 @@ Nodes have `concept`, `pos` and, if planes, `normal` and `width`; edges have `ki
 attributes of the authors' graphs: `type`, `center`, `normal`, `length`, `limits`, and edges that do
 not say what they are. Numbers survive exactly, and so does the order of the nodes.
 
+What else a node has are its attributes (`io.attributes`), but for `label`, `position`, `normal` and
+`width`, which are names of ours in any format; its id is its key in the graph. An edge may have a
+`confidence`.
+
 Source: the authors' graphs, as snt-arg/situational_graphs_datasets makes them.
 """
 
 import math
 import reprlib
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from sg3d_jax.io.attributes import (
+    CONFIDENCE,
+    ID,
+    OWN,
+    Attributes,
+    Read,
+    check_attributes,
+    edge_confidence_of,
+    further,
+    is_id,
+    node_ids,
+)
 from sg3d_jax.io.files import number
 from sg3d_jax.io.records import Record, features_by_row, graph_of, ontology_in, stated
-from sg3d_jax.scene.graph import SceneGraph, ontology_of, undirected_edges
+from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import (
     FEATURES,
     PAPER_ONTOLOGY,
@@ -31,6 +47,8 @@ from sg3d_jax.scene.validate import validate_graph
 if TYPE_CHECKING:
     import networkx
 
+NAMES: Final = ("concept", "pos")  # what nodes have beside features
+AUTHORS_NAMES: Final = ("type", "center", "length", "limits")
 WALL_SURFACE: Final = "ws"  # how the authors call what is observed
 LENGTH_TOLERANCE: Final = 1e-6  # metres
 
@@ -43,29 +61,44 @@ class _Kind(NamedTuple):
     foreign: dict[str, list[str]]  # features that others have, and the layers of these
 
 
-def to_networkx(graph: SceneGraph) -> "networkx.Graph":
+def to_networkx(
+    graph: SceneGraph, attributes: Attributes | None = None, edge_confidence: Array | None = None
+) -> "networkx.Graph":
     """Returns a host graph as a networkx graph.
 
     Args:
       graph: unpadded, metres.
+      attributes: what else to say of each node, JSON values.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
 
     Returns:
-      An undirected graph whose nodes are row numbers; `pos` and `normal` are lists.
+      An undirected graph whose nodes are row numbers, unless attributes say otherwise; `pos` and
+      `normal` are lists.
+
+    Raises:
+      ValueError: one sentence that names a node and its attribute, which a graph cannot hold.
     """
     import networkx
 
+    held: Attributes = [{}] * len(graph.nodes.label) if attributes is None else attributes
+    check_attributes(held, "attributes", names=NAMES)
     made = networkx.Graph(**stated(ontology_of(graph)))
-    made.add_nodes_from(enumerate(_nodes(graph)))
-    for kind, pairs in _edges(graph):
-        made.add_edges_from(pairs, kind=kind)
+    made.add_nodes_from(_nodes(graph, held))
+    made.add_edges_from(_edges(graph, node_ids(held), edge_confidence))
     return made
 
 
 def from_networkx(graph: "networkx.Graph", where: str = "graph") -> SceneGraph:
-    """Returns the host graph of a networkx graph with our attributes or the authors'.
+    """Returns the host graph of a networkx graph as `read_networkx` does, without attributes."""
+    return read_networkx(graph, where).graph
+
+
+def read_networkx(graph: "networkx.Graph", where: str = "graph") -> Read:
+    """Returns the host graph of a networkx graph, and what else it says of nodes and edges.
 
     Args:
-      graph: nodes in the order that the rows are to have; positions in metres.
+      graph: nodes in the order that the rows are to have, with our attributes or the authors';
+        positions in metres.
       where: what an error starts with.
 
     Raises:
@@ -74,36 +107,48 @@ def from_networkx(graph: "networkx.Graph", where: str = "graph") -> SceneGraph:
     if graph.is_multigraph():
         raise ValueError(f"{where}: the graph is a multigraph, expected one edge a pair of nodes")
     ontology = ontology_in(graph.graph, where)
-    return graph_from_attributes(graph.nodes(data=True), graph.edges(data=True), where, ontology)
+    return read_nodes_and_edges(graph.nodes(data=True), graph.edges(data=True), where, ontology)
 
 
-def graph_to_node_link(graph: SceneGraph, **attributes: Any) -> dict[str, Any]:
+def graph_to_node_link(
+    graph: SceneGraph,
+    attributes: Attributes | None = None,
+    edge_confidence: Array | None = None,
+    **about: Any,
+) -> dict[str, Any]:
     """Returns a host graph as what `networkx.node_link_graph(document, edges="edges")` reads.
 
     Args:
       graph: unpadded, metres.
-      **attributes: of the graph, such as `halt_reason`; JSON values.
+      attributes: what else to say of each node, of `check_attributes` with `NAMES`.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
+      **about: the graph, such as `halt_reason`; JSON values.
 
     Returns:
-      A JSON document; node ids are row numbers.
+      A JSON document; node ids are row numbers, unless attributes say otherwise.
     """
+    held: Attributes = [{}] * len(graph.nodes.label) if attributes is None else attributes
     edges = [
-        {"kind": kind, "source": source, "target": target}
-        for kind, pairs in _edges(graph)
-        for source, target in pairs
+        {**said, "source": source, "target": target}
+        for source, target, said in _edges(graph, node_ids(held), edge_confidence)
     ]
-    nodes = [node | {"id": row} for row, node in enumerate(_nodes(graph))]
+    nodes = [node | {ID: name} for name, node in _nodes(graph, held)]
     kind = {"directed": False, "multigraph": False}
-    about = {**stated(ontology_of(graph)), **attributes}
+    about = {**stated(ontology_of(graph)), **about}
     return kind | {"graph": about, "nodes": nodes, "edges": edges}
 
 
 def graph_from_node_link(document: Any, where: str = "graph") -> SceneGraph:
-    """Returns the host graph of a node-link document; keys it does not know are ignored.
+    """Returns the host graph of a node-link document as `read_node_link`, without attributes."""
+    return read_node_link(document, where).graph
+
+
+def read_node_link(document: Any, where: str = "graph") -> Read:
+    """Returns the host graph of a node-link document, and what else it says of nodes and edges.
 
     Args:
       document: parsed JSON, not yet trusted; edges are under `edges` or, as networkx once did it,
-        `links`.
+        `links`. Keys of the document and of edges that it does not know are ignored.
       where: what an error starts with, such as "graphs.jsonl: line 3".
 
     Raises:
@@ -114,24 +159,24 @@ def graph_from_node_link(document: Any, where: str = "graph") -> SceneGraph:
     if document.get("multigraph"):
         raise ValueError(f"{where}: multigraph is true, expected one edge a pair of nodes")
     links = "links" if "edges" not in document and "links" in document else "edges"
-    nodes = _objects(document, "nodes", ("id",), where)
+    nodes = _objects(document, "nodes", (ID,), where)
     edges = _objects(document, links, ("source", "target"), where)
     about = document.get("graph")
-    return graph_from_attributes(
-        ((node["id"], node) for node in nodes),
+    return read_nodes_and_edges(
+        ((node[ID], node) for node in nodes),
         ((edge["source"], edge["target"], edge) for edge in edges),
         where,
         ontology_in(about if isinstance(about, dict) else {}, where),
     )
 
 
-def graph_from_attributes(
+def read_nodes_and_edges(
     nodes: Iterable[tuple[Any, Mapping[str, Any]]],
     edges: Iterable[tuple[Any, Any, Mapping[str, Any]]],
     where: str,
     ontology: Ontology = PAPER_ONTOLOGY,
-) -> SceneGraph:
-    """Returns the host graph of nodes and edges with attributes, ours or the authors'.
+) -> Read:
+    """Returns the host graph of nodes and edges with attributes, ours or the authors', and these.
 
     Args:
       nodes: id and attributes of each node, in the order that the rows are to have.
@@ -145,6 +190,7 @@ def graph_from_attributes(
     """
     row_of_id: dict[Any, int] = {}
     rows: list[Record] = []
+    held: list[dict[str, Any]] = []
     kinds = _kinds(ontology)
     for name, attributes in nodes:
         if not isinstance(name, Hashable):
@@ -152,15 +198,19 @@ def graph_from_attributes(
         if row_of_id.setdefault(name, len(rows)) != len(rows):
             raise ValueError(f"{where}: node {_text(name)} is there twice, expected unique ids")
         rows.append(_row(attributes, kinds, f"{where}: node {_plain(name)!r:.40}"))
+        held.append(_further(name, attributes))
     pairs: tuple[list[list[int]], ...] = tuple([] for _ in RELATIONS)
+    sure: tuple[list[Any], ...] = tuple([] for _ in RELATIONS)
     for source, target, attributes in edges:
         ends = [_end(row_of_id, end, where) for end in (source, target)]
         edge = f"{where}: edge ({_plain(source)!r:.40}, {_plain(target)!r:.40})"
         labels = [rows[end].label for end in ends]
-        pairs[_relation(attributes, labels, ontology, edge)].append(ends)
+        relation = _relation(attributes, labels, ontology, edge)
+        pairs[relation].append(ends)
+        sure[relation].append(_plain(attributes.get(CONFIDENCE)))
     graph = graph_of(rows, ontology, pairs[PART_OF], pairs[PROXIMITY])
     validate_graph(graph, where, rules=False)
-    return graph
+    return Read(graph, held, edge_confidence_of(pairs[PART_OF], sure[PART_OF]))
 
 
 def _kinds(ontology: Ontology) -> dict[str, _Kind]:
@@ -178,22 +228,42 @@ def _kinds(ontology: Ontology) -> dict[str, _Kind]:
     return {WALL_SURFACE: kinds[observed]} | kinds
 
 
-def _nodes(graph: SceneGraph) -> list[dict[str, Any]]:
-    """Returns the attributes of each node."""
+def _nodes(graph: SceneGraph, held: Attributes) -> list[tuple[int | str, dict[str, Any]]]:
+    """Returns the id and the attributes of each node."""
     names = ontology_of(graph).names
     columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
+    rows = zip(node_ids(held), *columns, features_by_row(graph), held, strict=True)
     return [
-        {"concept": names[label], "pos": position} | owned
-        for label, position, owned in zip(*columns, features_by_row(graph), strict=True)
+        (name, {"concept": names[label], "pos": position} | owned | further(others, (ID,)))
+        for name, label, position, owned, others in rows
     ]
 
 
-def _edges(graph: SceneGraph) -> list[tuple[str, list[list[int]]]]:
-    """Returns each kind of edges and the pairs of rows that they join."""
-    return [
-        (RELATIONS[relation], undirected_edges(graph, relation).tolist())
+def _edges(
+    graph: SceneGraph, ids: Sequence[int | str], confidence: Array | None
+) -> list[tuple[int | str, int | str, dict[str, Any]]]:
+    """Returns the ids of both ends and the attributes of each edge."""
+    part_of, proximity = (
+        [(ids[first], ids[second]) for first, second in undirected_edges(graph, relation).tolist()]
         for relation in (PART_OF, PROXIMITY)
+    )
+    sure = [] if confidence is None else np.asarray(confidence).tolist()
+    said = [{CONFIDENCE: value} for value in sure] or [{}] * len(part_of)
+    return [
+        *(
+            (*pair, {"kind": RELATIONS[PART_OF], **of_edge})
+            for pair, of_edge in zip(part_of, said, strict=True)
+        ),
+        *((*pair, {"kind": RELATIONS[PROXIMITY]}) for pair in proximity),
     ]
+
+
+def _further(name: Any, attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the id of a node, if it can be one of a document, and what we do not know of it."""
+    known = NAMES if "concept" in attributes else AUTHORS_NAMES
+    others = further(attributes, (ID, *known, *OWN)).items()
+    name = _plain(name)
+    return ({ID: name} if is_id(name) else {}) | {key: _plain(value) for key, value in others}
 
 
 def _objects(

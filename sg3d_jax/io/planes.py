@@ -9,13 +9,13 @@ into `complete`. Further keys and columns, such as `id`, are attributes (`io.att
 """
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.io.attributes import ID, Read, further
+from sg3d_jax.io.attributes import ID, Read, further, value_in
 from sg3d_jax.io.files import read_text, vector, write_document
 from sg3d_jax.io.records import Record, feature, features_by_row, graph_of, ontology_in, stated
 from sg3d_jax.scene.graph import Array, SceneGraph, make_graph, observed_of, ontology_of
@@ -210,17 +210,5 @@ def _attributes(record: dict[str, str]) -> dict[str, int | float | str]:
     """Returns the further columns of a row."""
     cells = further(record, ("", *COLUMNS)).items()
     return {
-        name: _value(text, (int,) if name == ID else (int, float)) for name, text in cells if text
+        name: value_in(text, (int,) if name == ID else (int, float)) for name, text in cells if text
     }
-
-
-def _value(text: str, kinds: Sequence[Callable[[str], float]]) -> int | float | str:
-    """Returns a number whose digits are those of a text; else the text."""
-    for kind in kinds:
-        try:
-            value = kind(text)
-        except ValueError:
-            continue
-        if str(value) == text and value - value == 0:  # finite: nan and inf are no JSON
-            return value
-    return text

@@ -25,7 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.io.networkx import graph_from_attributes
+from sg3d_jax.io.networkx import read_nodes_and_edges
 from sg3d_jax.io.pickles import Asked, Name, read_pickle
 from sg3d_jax.scene.graph import SceneGraph, subgraph
 
@@ -147,7 +147,7 @@ def _scene(graph: Any, where: str) -> SceneGraph:
     nodes, adjacency = (state.get(key) if isinstance(state, dict) else None for key in _KEPT)
     if not isinstance(nodes, dict) or not isinstance(adjacency, dict):
         raise ValueError(f"{where}: there are no {' and '.join(_KEPT)}, expected a networkx graph")
-    read = graph_from_attributes(_nodes(nodes, where), _edges(adjacency, where), where)
+    read = read_nodes_and_edges(_nodes(nodes, where), _edges(adjacency, where), where).graph
     return subgraph(read, np.argsort(read.nodes.label, kind="stable"))
 
 

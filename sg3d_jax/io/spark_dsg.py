@@ -6,23 +6,36 @@ are not 5 as in Hydra: look layers up by name. A node's id is its symbol, a lett
 (`p0`, `w4`, `R5`, `F6`, `B7`, `C8`), from which the order of the nodes is restored. What Spark-DSG
 has no field for is metadata: `normal` and `width` of a plane, `relation` of an edge, and of the
 document its `ontology`, if its concepts are not the paper's. Numbers survive exactly, also if their
-library saves the file again.
+library saves the file again. Further metadata of a node are its attributes (`io.attributes`), its
+`id` among them; where symbols are not numbered as rows are, they are the ids of nodes that have
+none. An edge may have a `confidence`.
 
 Source: MIT-SPARK/Spark-DSG 1.1.3, src/serialization/graph_json_serialization.cpp.
 Differs: a plane with a wall and a room has two parents, which Spark-DSG stores but its
 `get_parent()` does not return; `walls="metadata"` keeps the walls of a plane in its metadata
-instead, so that every node has at most one parent.
+instead, and their confidence under `walls_confidence`, so that every node has at most one parent.
 """
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import compress
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
+from sg3d_jax.io.attributes import (
+    CONFIDENCE,
+    ID,
+    OWN,
+    Attributes,
+    Read,
+    edge_confidence_of,
+    further,
+)
 from sg3d_jax.io.files import field, vector
 from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
 from sg3d_jax.scene.graph import (
+    Array,
     SceneGraph,
     ontology_of,
     subgraph,
@@ -58,10 +71,23 @@ class _Node(NamedTuple):
     id: int
     record: Record
     wholes: dict[int, list[int]]  # ids that its metadata names, by label
+    metadata: dict[str, Any]
+
+
+class _Edge(NamedTuple):
+    """What an edge of a document says, or a node of an edge that it keeps in its metadata."""
+
+    relation: int
+    pair: list[int]  # rows
+    confidence: Any  # not yet trusted
 
 
 def graph_to_spark_dsg(
-    graph: SceneGraph, walls: Literal["edges", "metadata"] = "edges", **metadata: Any
+    graph: SceneGraph,
+    walls: Literal["edges", "metadata"] = "edges",
+    attributes: Attributes | None = None,
+    edge_confidence: Array | None = None,
+    **metadata: Any,
 ) -> dict[str, Any]:
     """Returns a host graph as a Spark-DSG document.
 
@@ -70,6 +96,8 @@ def graph_to_spark_dsg(
       walls: where the edges between planes and walls go, and between any other part and a whole of
         which it may have several: "edges" like all others, or "metadata" of the part as a list of
         ids under the whole's layer, `walls`, which leaves every node at most one parent.
+      attributes: what else to say of each node, of `check_attributes` with `names_in_metadata`.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
       **metadata: what else the document should say of itself, such as `halt_reason`; JSON values.
 
     Returns:
@@ -88,10 +116,16 @@ def graph_to_spark_dsg(
     hidden = np.zeros(len(part_of), bool)
     if walls == "metadata":
         hidden = _any_number(ontology)[tuple(label[part_of].T)]
+    sure = np.full(len(part_of), None) if edge_confidence is None else np.asarray(edge_confidence)
+    edges = [(*ends, c) for ends, c in zip(part_of.tolist(), sure.tolist(), strict=True)]
+    held: Attributes = [{}] * len(ids) if attributes is None else attributes
     kept = dict(_kept_wholes(ontology))
-    wholes: dict[int, dict[str, list[int]]] = {}
-    for whole, part in part_of[hidden].tolist():
-        wholes.setdefault(part, {}).setdefault(kept[label[whole]], []).append(ids[whole])
+    said: list[dict[str, Any]] = [dict(of_node) for of_node in held]
+    for whole, part, confidence in compress(edges, hidden):
+        name = kept[label[whole]]
+        said[part].setdefault(name, []).append(ids[whole])
+        if confidence is not None:
+            said[part].setdefault(_sure_of(name), []).append(confidence)
     about = {"generator": "sg3d_jax", "units": "m", **stated(ontology), **metadata}
     return {
         HEADER: {"project_name": "main", "version": VERSION},
@@ -100,16 +134,27 @@ def graph_to_spark_dsg(
         "metadata": about,
         "layer_keys": list(keys.values()),
         "layer_names": keys,
-        "nodes": _node_records(graph, ids, wholes),
+        "nodes": _node_records(graph, ids, said),
         "edges": [
-            *(_edge_record(ids[i], ids[j], PART_OF) for i, j in part_of[~hidden].tolist()),
+            *(_edge_record(ids[i], ids[j], PART_OF, c) for i, j, c in compress(edges, ~hidden)),
             *(_edge_record(ids[i], ids[j], PROXIMITY) for i, j in proximity.tolist()),
         ],
     }
 
 
+def names_in_metadata(ontology: Ontology) -> tuple[str, ...]:
+    """Returns what the metadata of a node may say that is not its own, such as its walls."""
+    names = [name for _, name in _kept_wholes(ontology)]
+    return (*names, *map(_sure_of, names))
+
+
 def graph_from_spark_dsg(document: Any, where: str = "graph") -> SceneGraph:
-    """Returns the host graph of a Spark-DSG document; attributes it does not know are ignored.
+    """Returns the host graph of a Spark-DSG document as `read_spark_dsg`, without attributes."""
+    return read_spark_dsg(document, where).graph
+
+
+def read_spark_dsg(document: Any, where: str = "graph") -> Read:
+    """Returns the host graph of a Spark-DSG document, and further metadata of its nodes and edges.
 
     Layers go by their names, so that rooms and buildings of Hydra are read too. An edge that does
     not tell its relation is part-of between layers, and proximity within one.
@@ -135,15 +180,28 @@ def graph_from_spark_dsg(document: Any, where: str = "graph") -> SceneGraph:
         for index, node in enumerate(document["nodes"])
     ]
     row_of_id = _rows_by_id(nodes, where)
-    pairs: tuple[list[list[int]], ...] = tuple([] for _ in RELATIONS)
-    for index, edge in enumerate(document["edges"]):
-        relation, pair = _edge(edge, nodes, row_of_id, f"{where}: edges[{index}]")
-        pairs[relation].append(pair)
-    pairs[PART_OF].extend(_hidden_pairs(nodes, row_of_id, ontology, where))
-    records = [node.record for node in nodes]
-    graph = graph_of(records, ontology, pairs[PART_OF], pairs[PROXIMITY])
+    edges = [
+        _edge(edge, nodes, row_of_id, f"{where}: edges[{index}]")
+        for index, edge in enumerate(document["edges"])
+    ]
+    edges += _hidden_edges(nodes, row_of_id, ontology, where)
+    part_of = [edge for edge in edges if edge.relation == PART_OF]
+    pairs = [edge.pair for edge in part_of]
+    proximity = [edge.pair for edge in edges if edge.relation == PROXIMITY]
+    graph = graph_of([node.record for node in nodes], ontology, pairs, proximity)
     validate_graph(graph, where, rules=False)
-    return subgraph(graph, _order(nodes))
+    order = _order(nodes)
+    rows = np.argsort(order)[np.array(pairs, int)].tolist()
+    sure = edge_confidence_of(rows, [edge.confidence for edge in part_of])
+    held = _attributes_of([nodes[row] for row in order], ontology)
+    return Read(subgraph(graph, order), held, sure)
+
+
+def _attributes_of(nodes: Sequence[_Node], ontology: Ontology) -> Attributes:
+    """Returns what else nodes say, in the order of their rows."""
+    known = (*OWN, *names_in_metadata(ontology))
+    as_rows = all(node.id % 2**SYMBOL_BITS == row for row, node in enumerate(nodes))
+    return [({} if as_rows else {ID: node.id}) | further(node.metadata, known) for node in nodes]
 
 
 def _symbol(concept: Concept, row: int) -> int:
@@ -172,8 +230,13 @@ def _kept_wholes(ontology: Ontology) -> tuple[tuple[int, str], ...]:
     return tuple((label, ontology.concepts[label].layer.lower()) for label in labels)
 
 
+def _sure_of(name: str) -> str:
+    """Returns under which key metadata say how sure what is kept under another is."""
+    return f"{name}_{CONFIDENCE}"
+
+
 def _node_records(
-    graph: SceneGraph, ids: list[int], wholes: Mapping[int, dict[str, list[int]]]
+    graph: SceneGraph, ids: list[int], said: Sequence[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
     owned, boxes = features_by_row(graph), _boxes(graph)
@@ -187,7 +250,7 @@ def _node_records(
                 **_attributes(concepts[label], row),
                 "position": position,
                 "bounding_box": _box(*boxes[row]),
-                "metadata": owned[row] | wholes.get(row, {}),
+                "metadata": owned[row] | said[row],
             },
         }
         for row, (label, position) in enumerate(zip(*columns, strict=True))
@@ -241,12 +304,15 @@ def _box(low: np.ndarray, high: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _edge_record(source: int, target: int, relation: int) -> dict[str, Any]:
+def _edge_record(
+    source: int, target: int, relation: int, confidence: float | None = None
+) -> dict[str, Any]:
+    sure = {} if confidence is None else {CONFIDENCE: confidence}
     info = {
         "type": "EdgeAttributes",
         "weighted": False,
         "weight": 1.0,
-        "metadata": {"relation": RELATIONS[relation]},
+        "metadata": {"relation": RELATIONS[relation], **sure},
     }
     return {"source": source, "target": target, "info": info}
 
@@ -325,7 +391,7 @@ def _node(
             if not isinstance(named, list):
                 raise ValueError(f"{inside}.{name} is {named!r:.40}, expected a list of node ids")
             wholes[whole] = named
-    return _Node(_integer(record, "id", where), Record(label, position, features), wholes)
+    return _Node(_integer(record, "id", where), Record(label, position, features), wholes, metadata)
 
 
 def _label(
@@ -356,10 +422,7 @@ def _rows_by_id(nodes: list[_Node], where: str) -> dict[int, int]:
     return row_of_id
 
 
-def _edge(
-    record: Any, nodes: list[_Node], row_of_id: Mapping[int, int], where: str
-) -> tuple[int, list[int]]:
-    """Returns the relation of an edge and its rows."""
+def _edge(record: Any, nodes: list[_Node], row_of_id: Mapping[int, int], where: str) -> _Edge:
     pair = []
     for end in ("source", "target"):
         name = _integer(record, end, where)
@@ -371,20 +434,24 @@ def _edge(
         raise ValueError(f"{where}.info is {info!r:.40}, expected an object")
     within = nodes[pair[0]].record.label == nodes[pair[1]].record.label
     default = RELATIONS[PROXIMITY if within else PART_OF]
-    relation = _metadata(info, f"{where}.info").get("relation", default)
+    metadata = _metadata(info, f"{where}.info")
+    relation = metadata.get("relation", default)
     if relation not in RELATIONS:
         names = " or ".join(RELATIONS)
         raise ValueError(f"{where}.info.metadata.relation is {relation!r:.40}, expected {names}")
-    return RELATIONS.index(relation), pair
+    return _Edge(RELATIONS.index(relation), pair, metadata.get(CONFIDENCE))
 
 
-def _hidden_pairs(
+def _hidden_edges(
     nodes: list[_Node], row_of_id: Mapping[int, int], ontology: Ontology, where: str
-) -> list[list[int]]:
-    """Returns the pairs (part, whole) that are kept in metadata, as rows."""
-    pairs = []
+) -> list[_Edge]:
+    """Returns the edges from parts to wholes that are kept in metadata."""
+    edges = []
     for row, node in enumerate(nodes):
         for label, names in node.wholes.items():
+            said = node.metadata.get(_sure_of(ontology.concepts[label].layer.lower()))
+            fits = isinstance(said, list) and len(said) == len(names)
+            sure = said if fits else [None] * len(names)
             for index, name in enumerate(names):
                 known = isinstance(name, int) and not isinstance(name, bool) and name in row_of_id
                 if not known or nodes[row_of_id[name]].record.label != label:
@@ -392,8 +459,8 @@ def _hidden_pairs(
                     place = f"nodes[{row}].attributes.metadata.{concept.layer.lower()}[{index}]"
                     expected = f"the id of a {concept.name}"
                     raise ValueError(f"{where}: {place} is {name!r:.40}, expected {expected}")
-                pairs.append([row, row_of_id[name]])
-    return pairs
+                edges.append(_Edge(PART_OF, [row, row_of_id[name]], sure[index]))
+    return edges
 
 
 def _order(nodes: list[_Node]) -> np.ndarray:

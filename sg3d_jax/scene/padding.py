@@ -157,7 +157,7 @@ def append_block(graph: PackedGraph, block: Block) -> tuple[PackedGraph, Bool[Ar
 
     Args:
       graph: packed: in one with holes, the next slots are not free. `pack` closes them.
-      block: `M` new nodes; real ones first. Only edges between real nodes are appended.
+      block: `M` new nodes. Only edges between real ones are appended.
 
     Returns:
       The grown graph and whether everything fitted. What does not fit is dropped, so a graph that
@@ -171,7 +171,8 @@ def append_block(graph: PackedGraph, block: Block) -> tuple[PackedGraph, Bool[Ar
     num_block, capacity, edge_capacity = (x.mask.shape[0] for x in (block, nodes, edges))
     num_old, num_old_edges = graph.n_node[0], graph.n_edge[0]
     num_new = jnp.sum(block.mask, dtype=jnp.int32)
-    slots = jnp.where(block.mask, num_old + jnp.arange(num_block), capacity)  # dropped if beyond
+    place = num_old + jnp.cumsum(block.mask) - 1
+    slots = jnp.where(block.mask, place, capacity)  # dropped if beyond
 
     nodes = nodes._replace(  # what is drawn has no features and is not observed: zero, as padding
         label=nodes.label.at[slots].set(block.label, mode="drop"),

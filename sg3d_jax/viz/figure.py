@@ -11,7 +11,7 @@ Differs: a parallel projection, so that parallel walls stay parallel and every s
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,12 +20,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sg3d_jax.io.files import replacing
-from sg3d_jax.scene.graph import SceneGraph, ontology_of, undirected_edges
+from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,
+    FAINT,
+    LEAST_SIZE,
     are_segments,
+    check_confidence,
     crowding,
+    faded,
     lifted,
     plane_segments,
     project,
@@ -44,30 +48,54 @@ CAPTION_SIZE: Final = 9  # points
 CAPTION_COLOUR: Final = "#475467"
 
 
-def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) -> Axes:
+class _Drawn(NamedTuple):
+    """A host graph, and how sure it is, 0 to 1."""
+
+    graph: SceneGraph
+    node_confidence: Array | None = None  # float[n]
+    edge_confidence: Array | None = None  # float[e]
+
+
+def draw_graph(
+    graph: SceneGraph,
+    axes: Axes | None = None,
+    scale: float = 1.0,
+    node_confidence: Array | None = None,
+    edge_confidence: Array | None = None,
+) -> Axes:
     """Draws a host graph.
 
     Args:
       graph: unpadded, metres.
       axes: where to draw; None for the axes of a new figure.
       scale: of lines and dots; 1 suits a picture 8 inches wide. Those of large graphs are smaller.
+      node_confidence: float[n], 0 to 1; nodes are the fainter the less sure they are. None for all
+        alike.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`, likewise.
 
     Returns:
       The axes, without ticks or frame, a metre equally long in every direction.
+
+    Raises:
+      ValueError: a confidence is not that of so many nodes or edges.
     """
+    check_confidence(graph, node_confidence, edge_confidence)
     if axes is None:
         axes = Figure(layout="constrained").add_subplot()
     label, styles = np.asarray(graph.nodes.label), styles_of(ontology_of(graph))
     azimuth, scale = view_of(graph), scale * crowding(graph)
     nodes = project(lifted(graph), azimuth)
     edges = nodes[undirected_edges(graph, PART_OF)]
-    _add_lines(axes, edges, EDGE_COLOUR, EDGE_WIDTH * scale, zorder=1)
+    _add_lines(axes, edges, _colours(EDGE_COLOUR, edge_confidence), EDGE_WIDTH * scale, zorder=1)
+    sure = None if node_confidence is None else np.asarray(node_confidence)
     for concept in np.flatnonzero(are_segments(ontology_of(graph))).tolist():
         planes = project(plane_segments(graph, concept), azimuth)
-        _add_lines(axes, planes, styles[concept].colour, PLANE_WIDTH * scale, zorder=2)
+        colours = _colours(styles[concept].colour, sure, label == concept)
+        _add_lines(axes, planes, colours, PLANE_WIDTH * scale, zorder=2)
     for concept in sorted(set(label.tolist())):
         style, dots = styles[concept], nodes[label == concept].T
-        drawn = axes.scatter(*dots, s=(style.size * scale) ** 2, c=style.colour)
+        colours = _colours(style.colour, sure, label == concept)
+        drawn = axes.scatter(*dots, s=(style.size * scale) ** 2, c=colours)
         drawn.set(edgecolor="white", linewidth=0.7 * scale, zorder=3 + concept)
     axes.set(aspect="equal", xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
@@ -75,18 +103,28 @@ def draw_graph(graph: SceneGraph, axes: Axes | None = None, scale: float = 1.0) 
     return axes
 
 
-def save_picture(graph: SceneGraph, path: str | Path, title: str | None = None) -> None:
+def save_picture(
+    graph: SceneGraph,
+    path: str | Path,
+    title: str | None = None,
+    node_confidence: Array | None = None,
+    edge_confidence: Array | None = None,
+) -> None:
     """Draws a host graph with a legend to a file whose suffix names the format (.png, .pdf, .svg).
 
     Args:
       graph: unpadded, metres.
       path: the file to write.
       title: printed above the picture.
+      node_confidence: float[n], 0 to 1; nodes are the fainter the less sure they are. None for all
+        alike.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`, likewise.
 
     Raises:
-      ValueError: the format is unknown or the file cannot be written.
+      ValueError: the format is unknown, the file cannot be written, or a confidence is not that of
+        so many nodes or edges.
     """
-    figure = _draw_rows([[graph]], PICTURE_WIDTH)
+    figure = _draw_rows([[_Drawn(graph, node_confidence, edge_confidence)]], PICTURE_WIDTH)
     if title:
         figure.suptitle(title)
     _save(figure, path)
@@ -110,7 +148,7 @@ def contact_sheet(
     rows = [(title, row) for title, row in rows if row]
     if not rows:
         raise ValueError(f"{path}: there are no graphs, expected at least one to draw")
-    figure = _draw_rows([row for _, row in rows], CELL_WIDTH)
+    figure = _draw_rows([[_Drawn(graph) for graph in row] for _, row in rows], CELL_WIDTH)
     firsts = np.cumsum([0] + [len(row) for _, row in rows[:-1]])
     for first, (title, _) in zip(firsts, rows, strict=True):
         figure.axes[first].set_ylabel(title)
@@ -139,7 +177,7 @@ def dataset_sheet(
     contact_sheet(rows, path, captions)
 
 
-def _draw_rows(rows: Sequence[Sequence[SceneGraph]], width: float) -> Figure:
+def _draw_rows(rows: Sequence[Sequence[_Drawn]], width: float) -> Figure:
     """Returns a figure of rows of graphs, each `width` inches wide, with one legend below."""
     figure = Figure(layout="constrained")
     columns = max(len(row) for row in rows)
@@ -147,12 +185,12 @@ def _draw_rows(rows: Sequence[Sequence[SceneGraph]], width: float) -> Figure:
     heights = []
     for index, row in enumerate(rows):
         drawn = [figure.add_subplot(grid[index, column]) for column in range(len(row))]
-        for axes, graph in zip(drawn, row, strict=True):
-            draw_graph(graph, axes, scale=(width / PICTURE_WIDTH) ** 0.5)
+        for axes, (graph, *confidence) in zip(drawn, row, strict=True):
+            draw_graph(graph, axes, (width / PICTURE_WIDTH) ** 0.5, *confidence)
         heights.append(width * max(_height_by_width(axes) for axes in drawn))
     grid.set_height_ratios(heights)
     figure.set_size_inches(width * columns, sum(heights) + LEGEND_HEIGHT)
-    _add_legend(figure, [graph for row in rows for graph in row])
+    _add_legend(figure, [drawn for row in rows for drawn in row])
     return figure
 
 
@@ -161,21 +199,32 @@ def _height_by_width(axes: Axes) -> float:
     return float(np.clip(height / max(width, 1e-9), 0.4, 1.2))
 
 
-def _add_lines(axes: Axes, ends: np.ndarray, colour: str, width: float, zorder: int) -> None:
+def _colours(
+    colour: str, confidence: np.ndarray | None, chosen: np.ndarray | slice = slice(None)
+) -> str | list[str]:
+    """Returns one colour for all, or that of each chosen one."""
+    return colour if confidence is None else faded(colour, np.asarray(confidence)[chosen])
+
+
+def _add_lines(
+    axes: Axes, ends: np.ndarray, colours: str | list[str], width: float, zorder: int
+) -> None:
     """Draws lines between pairs of points, float[n, 2, 2]."""
-    lines = LineCollection(list(ends), colors=colour, linewidths=width, zorder=zorder)
+    lines = LineCollection(list(ends), colors=colours, linewidths=width, zorder=zorder)
     lines.set_capstyle("round")
     axes.add_collection(lines)
 
 
-def _add_legend(figure: Figure, graphs: Sequence[SceneGraph]) -> None:
+def _add_legend(figure: Figure, drawn: Sequence[_Drawn]) -> None:
     """Adds one legend of the concepts that occur, in their order, below everything."""
     present: dict[str, tuple[int, Line2D]] = {}
-    for graph in graphs:
+    for graph, *_ in drawn:
         for label in np.unique(graph.nodes.label).tolist():
             name = ontology_of(graph).names[label]
             present.setdefault(name, (label, _handle(ontology_of(graph), label)))
     handles = [handle for _, handle in sorted(present.values(), key=lambda pair: pair[0])]
+    if any(part is not None for _, *confidence in drawn for part in confidence):
+        handles.append(_faint_handle())
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 
@@ -184,6 +233,13 @@ def _handle(ontology: Ontology, concept: int) -> Line2D:
     handle = Line2D([], [], color=style.colour, label=name, linewidth=PLANE_WIDTH)
     handle.set(marker="o", markersize=style.size, markeredgewidth=0)
     handle.set_linestyle("solid" if are_segments(ontology)[concept] else "none")
+    return handle
+
+
+def _faint_handle() -> Line2D:
+    (colour,) = faded(EDGE_COLOUR, np.array([0.5]))
+    handle = Line2D([], [], color=colour, label=FAINT, linewidth=PLANE_WIDTH)
+    handle.set(marker="o", markersize=LEAST_SIZE, markeredgewidth=0)
     return handle
 
 

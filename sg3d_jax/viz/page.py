@@ -3,11 +3,14 @@
 A page is one file that works offline: plotly's program (about 5 MB; its smaller bundles do not come
 with the Python package) is inside, and the page's own policy forbids it to load anything else. The
 same graphs give the same bytes. A layer is one or two traces, so that cities stay fluid.
+
+Where a confidence is given, what is unsure is faint. Then the points of a trace have colours of
+their own, of which the legend would show the first or none: its keys are traces without points.
 """
 
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +19,7 @@ import numpy as np
 
 from sg3d_jax.io.files import replacing
 from sg3d_jax.scene.graph import (
+    Array,
     SceneGraph,
     ontology_of,
     parts_first,
@@ -24,9 +28,12 @@ from sg3d_jax.scene.graph import (
 from sg3d_jax.scene.ontology import FEATURES, PART_OF, PROXIMITY
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,
+    FAINT,
     are_segments,
+    check_confidence,
     crowding,
     drawn_metre,
+    faded,
     lifted,
     plane_segments,
     project,
@@ -76,6 +83,8 @@ def save_page(
     path: str | Path,
     title: str | None = None,
     names: Sequence[str] | None = None,
+    node_confidence: Sequence[Array | None] | None = None,
+    edge_confidence: Sequence[Array | None] | None = None,
 ) -> None:
     """Writes host graphs as one self-contained interactive HTML page.
 
@@ -84,10 +93,14 @@ def save_page(
       path: the file to write.
       title: of the page; plain text.
       names: of the graphs in the list, such as "truth" and "grown"; numbered by default.
+      node_confidence: of each graph float[n], 0 to 1: nodes are the fainter the less sure they are,
+        and say it; None for one whose nodes are alike.
+      edge_confidence: likewise float[e], of the rows of `parts_first(graph)`.
 
     Raises:
       ValueError: there is nothing to show, the names are too few or too many, the graphs have
-        different ontologies, so that they share no layers, or the file cannot be written.
+        different ontologies, so that they share no layers, a confidence is not that of so many
+        nodes or edges, or the file cannot be written.
     """
     from plotly.offline import get_plotlyjs
 
@@ -102,15 +115,18 @@ def save_page(
     used = sorted(
         {concept for graph in graphs for concept in np.unique(graph.nodes.label).tolist()}
     )
+    nothing = [None] * len(graphs)
+    nodes = nothing if node_confidence is None else node_confidence
+    edges = nothing if edge_confidence is None else edge_confidence
     shown = [
         {
             "name": name,
             "counts": _counts(graph),
-            "text": hover_text(graph),
-            "data": graph_traces(graph, used),
+            "text": hover_text(graph, *sure),
+            "data": graph_traces(graph, used, *sure),
             "layout": _layout(graph),
         }
-        for name, graph in zip(names, graphs, strict=True)
+        for name, graph, *sure in zip(names, graphs, nodes, edges, strict=True)
     ]
     parts = {
         "title": html.escape(title or "scene graph"),
@@ -124,41 +140,82 @@ def save_page(
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def graph_traces(graph: SceneGraph, concepts: Sequence[int] | None = None) -> list[dict[str, Any]]:
+def graph_traces(
+    graph: SceneGraph,
+    concepts: Sequence[int] | None = None,
+    node_confidence: Array | None = None,
+    edge_confidence: Array | None = None,
+) -> list[dict[str, Any]]:
     """Returns the plotly traces of a host graph: its edges, planes, then nodes.
 
     Args:
       graph: unpadded, metres.
       concepts: what gets a layer; None for all. A page gives all its graphs the same layers, empty
         or not, so that a hidden layer stays hidden when another graph is chosen.
+      node_confidence: float[n], 0 to 1; None for all alike.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`; None for all alike.
 
     Returns:
       Traces whose `customdata` is the node that each point stands for; the page looks its text up,
       so that a text is stored once.
+
+    Raises:
+      ValueError: a confidence is not that of so many nodes or edges.
     """
+    check_confidence(graph, node_confidence, edge_confidence)
     points, label = lifted(graph), np.asarray(graph.nodes.label)
     concepts = range(ontology_of(graph).num_concepts) if concepts is None else concepts
     rows = [(concept, np.flatnonzero(label == concept)) for concept in concepts]
     scale, thin = DOT_SCALE * crowding(graph), LINE_WIDTH * crowding(graph)
     part_of, proximity = (points[undirected_edges(graph, r)] for r in (PART_OF, PROXIMITY))
+    dots = [_dots(graph, concept, points[chosen], chosen, scale) for concept, chosen in rows]
+    edges = _lines("part of", part_of, EDGE_COLOUR, thin, legendrank=1001)
+    planes, keys = _planes(graph), []
+    if node_confidence is not None:
+        keys += [_key(trace) for trace in dots]
+        for trace in (*planes, *dots):
+            _fade(trace, np.asarray(node_confidence)[np.array(trace["customdata"], int)])
+    if edge_confidence is not None:
+        keys.append(_key(edges))
+        _fade(edges, np.repeat(edge_confidence, 3))
     return [
         _lines(
             "proximity", proximity, PROXIMITY_COLOUR, thin, visible="legendonly", legendrank=1002
         ),
-        _lines("part of", part_of, EDGE_COLOUR, thin, legendrank=1001),
-        *_planes(graph),
-        *(_dots(graph, concept, points[chosen], chosen, scale) for concept, chosen in rows),
+        edges,
+        *planes,
+        *dots,
+        *keys,
+        *([_faint_key()] if keys else []),
     ]
 
 
-def hover_text(graph: SceneGraph) -> list[str]:
-    """Returns what a page says about each node of a host graph, in plotly's few HTML tags."""
+def hover_text(
+    graph: SceneGraph,
+    node_confidence: Array | None = None,
+    edge_confidence: Array | None = None,
+) -> list[str]:
+    """Returns what a page says about each node of a host graph, in plotly's few HTML tags.
+
+    Args:
+      graph: unpadded, metres.
+      node_confidence: float[n], 0 to 1; NaN for nodes of which it is not known.
+      edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
+
+    Raises:
+      ValueError: a confidence is not that of so many nodes or edges.
+    """
+    check_confidence(graph, node_confidence, edge_confidence)
     label, ontology = np.asarray(graph.nodes.label).tolist(), ontology_of(graph)
-    children: list[list[int]] = [[] for _ in label]
-    parents: list[list[int]] = [[] for _ in label]
-    for child, parent in parts_first(graph).tolist():
-        children[parent].append(child)
-        parents[child].append(parent)
+    pairs = parts_first(graph).tolist()
+    sure = (
+        [""] * len(pairs) if edge_confidence is None else [f" ({c:.2f})" for c in edge_confidence]
+    )
+    children: list[dict[int, str]] = [{} for _ in label]
+    parents: list[dict[int, str]] = [{} for _ in label]
+    for (child, parent), said in zip(pairs, sure, strict=True):
+        children[parent][child] = said
+        parents[child][parent] = said
     names = [f"{_escaped(ontology.names[concept])} {row}" for row, concept in enumerate(label)]
     numbers_first = sorted(FEATURES, key=lambda name: len(FEATURES[name]))
     texts = []
@@ -169,18 +226,20 @@ def hover_text(graph: SceneGraph) -> list[str]:
                 value = np.asarray(getattr(graph.nodes, feature)[row])
                 shown = _vector(value) if value.ndim else f"{value:.2f}"
                 lines.append(f"{feature} {shown}{UNITS.get(feature, '')}")
+        if node_confidence is not None and not np.isnan(node_confidence[row]):
+            lines.append(f"confidence {node_confidence[row]:.2f}")
         number = "1 child" if len(children[row]) == 1 else f"{len(children[row])} children"
         lines += _kin("part of", parents[row], names) + _kin(f"{number}:", children[row], names)
         texts.append("<br>".join(lines))
     return texts
 
 
-def _kin(heading: str, rows: Sequence[int], names: Sequence[str]) -> list[str]:
-    """Returns a line that names other nodes, or none."""
-    if not rows:
+def _kin(heading: str, kin: Mapping[int, str], names: Sequence[str]) -> list[str]:
+    """Returns a line that names other nodes, by row with what to say of each, or none."""
+    if not kin:
         return []
-    named = [names[row] for row in sorted(rows)[:IDS_SHOWN]]
-    more = [f"{len(rows) - IDS_SHOWN} more"] if len(rows) > IDS_SHOWN else []
+    named = [names[row] + kin[row] for row in sorted(kin)[:IDS_SHOWN]]
+    more = [f"{len(kin) - IDS_SHOWN} more"] if len(kin) > IDS_SHOWN else []
     return [f"{heading} {', '.join(named + more)}"]
 
 
@@ -281,6 +340,36 @@ def _lines(
         "line": {"color": colour, "width": round(width, 2)},
         "hoverinfo": "skip",
     } | options
+
+
+def _fade(trace: dict[str, Any], confidence: np.ndarray) -> None:
+    """Gives each point of a trace a colour of its own, the fainter the less sure it is."""
+    if "color" in trace:  # a mesh
+        trace["vertexcolor"] = faded(trace["color"], confidence)
+        return
+    paint = trace["line" if trace["mode"] == "lines" else "marker"]
+    paint["color"] = faded(paint["color"], confidence)
+    trace["showlegend"] = False
+
+
+def _key(trace: dict[str, Any]) -> dict[str, Any]:
+    """Returns what the legend shows for a trace: the same without points, in one colour."""
+    own = ("type", "legendgroup", "name", "mode", "legendrank")
+    paint = "line" if trace["mode"] == "lines" else "marker"
+    return {
+        **{name: trace[name] for name in own if name in trace},
+        **{axis: [None] for axis in "xyz"},
+        "uid": f"{trace['uid']} key",
+        paint: dict(trace[paint]),
+        "hoverinfo": "skip",
+    }
+
+
+def _faint_key() -> dict[str, Any]:
+    """Returns the line of the legend that says what is faint."""
+    (colour,) = faded(EDGE_COLOUR, np.array([0.5]))
+    nothing = np.zeros((0, 2, 3))
+    return _key(_lines(FAINT, nothing, colour, LINE_WIDTH, uid="faint", legendrank=1003))
 
 
 def _coordinates(points: np.ndarray) -> dict[str, list[float | None]]:

@@ -3,6 +3,9 @@
 The concepts are lifted apart in z so that the hierarchy can be read, and the storeys of a building
 are pulled apart so that each can be seen. Both are drawn; neither is part of the graph.
 
+Nodes and edges are as faint as they are unsure, if a confidence is given: their colours are mixed
+with the white of the ground, for the 3D scenes of plotly blend no points of different opacities.
+
 Which concept is which is read from the ontology: a "floor" is the uppermost that does not stand
 above its parts, a "building" whatever floors are part of, a "plane" what is observed with normal
 and width.
@@ -13,7 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.graph import SceneGraph, ontology_of, undirected_edges
+from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
 
 
@@ -28,11 +31,43 @@ class Style(NamedTuple):
 OBSERVED_SIZE: Final = 4.0  # points
 LEAST_SIZE, SIZE_STEP, GREATEST_SIZE = 5.0, 2.0, 12.0  # points, of the others from the lowest up
 EDGE_COLOUR: Final = "#8b919c"
+FAINTEST: Final = 0.1  # of its colour, what is not sure at all
+FAINT: Final = "faint: unsure"  # what legends say of it
 ELEVATION, AZIMUTH = np.radians([32.0, -62.0])  # the camera; nearly that of the paper's pictures
 CROWDED: Final = 60  # nodes; dots of larger graphs are smaller
 STOREY_GAP: Final = 0.5  # drawn between storeys, in lengths of the largest floor
 LARGE_FLOOR: Final = 25.0  # metres; the lifts of larger floors grow with them
 SAME_STOREY: Final = 1.0  # metres; floors closer in z lie side by side
+
+
+def faded(colour: str, confidence: Array) -> list[str]:
+    """Returns a colour for each of some nodes or edges, the fainter the less sure they are.
+
+    Args:
+      colour: "#rrggbb", of what is sure.
+      confidence: float[k], 0 to 1; what does not say, NaN, is drawn like what is sure.
+    """
+    sure = np.nan_to_num(np.asarray(confidence, np.float64), nan=1.0)
+    share = FAINTEST + (1 - FAINTEST) * sure**2  # squared, or .7 and .9 would look alike
+    white = np.full(3, 255.0)
+    mixed = white + share[:, None] * (np.array([*bytes.fromhex(colour[1:])]) - white)
+    return [f"#{bytes(row).hex()}" for row in np.round(mixed).astype(np.uint8)]
+
+
+def check_confidence(
+    graph: SceneGraph, node_confidence: Array | None, edge_confidence: Array | None
+) -> None:
+    """Refuses confidence of another number of nodes or part-of edges than a host graph has.
+
+    Raises:
+      ValueError: one sentence.
+    """
+    for name, given, count in (
+        ("node_confidence", node_confidence, len(graph.nodes.label)),
+        ("edge_confidence", edge_confidence, len(undirected_edges(graph, PART_OF))),
+    ):
+        if given is not None and np.shape(given) != (count,):
+            raise ValueError(f"{name} has shape {[*np.shape(given)]}, expected [{count}]")
 
 
 @functools.lru_cache

@@ -35,7 +35,7 @@ def test_graphs_survive_their_file_bit_for_bit(tmp_path):
     graphs = [one_room(), *registry.make("s-f", 20), *registry.make("s-c", 2)]
     for graph in graphs:
         write_graphml(tmp_path / "a.graphml", graph)
-        assert_same_graph(read_graphml(tmp_path / "a.graphml"), graph)
+        assert_same_graph(read_graphml(tmp_path / "a.graphml").graph, graph)
     assert len(list(tmp_path.iterdir())) == 1
 
 
@@ -46,6 +46,46 @@ def test_others_see_scalars(tmp_path):
     assert set(graph.nodes[1]) == {"concept", "x", "y", "z"}
     assert graph.edges[0, 2] == {"kind": "proximity"}
     assert set(to_networkx(one_room()).edges) == set(graph.edges)
+
+
+HELD = [
+    {"id": 7, "seen": 3, "sure": 0.5, "open": True, "note": "north"},
+    {"id": "7", "seen": [1, {"a": None}], "note": "two\nlines", "none": None},
+    {"id": "west"},
+    {"open": False, "note": "[no list"},
+]
+
+
+def test_others_see_attributes_as_scalars_and_ids_as_ids(tmp_path):
+    write_graphml(tmp_path / "a.graphml", one_room(), HELD, np.array([0.25, 1, 0.5]))
+    graph = networkx.read_graphml(tmp_path / "a.graphml")
+    assert list(graph) == ["7", '"7"', "west", "8"]
+    own = {"concept", "x", "y", "z", "width", "normal_x", "normal_y", "normal_z"}
+    said = [{k: v for k, v in held.items() if k not in own} for held in graph.nodes.values()]
+    assert said == [
+        {"seen": 3, "sure": 0.5, "open": True, "note": "north"},
+        {"seen": '[1, {"a": null}]', "note": '"two\\nlines"', "none": "null"},
+        {},
+        {"open": False, "note": '"[no list"'},
+    ]
+    assert graph.edges["7", '"7"'] == {"kind": "part_of", "confidence": 0.25}
+    read = read_graphml(tmp_path / "a.graphml")
+    assert read.attributes == [*HELD[:3], {"id": 8, **HELD[3]}]
+    assert read.edge_confidence.tolist() == [0.25, 1, 0.5]
+
+
+def test_what_others_wrote_is_carried_as_they_wrote_it(tmp_path):
+    write_graphml(tmp_path / "a.graphml", one_room())
+    graph = networkx.read_graphml(tmp_path / "a.graphml", node_type=int)
+    graph.nodes[0].update(label="a", modularity=float("nan"), note="{curly", size=3.0, r=1)
+    networkx.write_graphml(
+        networkx.relabel_nodes(graph, {0: "n0", 1: "01"}), tmp_path / "a.graphml"
+    )
+    read = read_graphml(tmp_path / "a.graphml")
+    assert_same_graph(read.graph, one_room())
+    foreign = {"modularity": "nan", "note": "{curly", "size": 3.0, "r": 1}
+    assert read.attributes == [{"id": "n0", **foreign}, {"id": "01"}, {"id": 2}, {"id": 3}]
+    assert read.edge_confidence is None
 
 
 def test_a_broken_graph_is_not_written(tmp_path):
@@ -104,7 +144,7 @@ def test_a_corrupted_file_is_refused_or_is_a_graph(written, tmp_path_factory, da
     path.write_bytes(written[:place] + junk + written[place + data.draw(st.integers(0, 40)) :])
     graph, refusal = None, ""
     try:
-        graph = read_graphml(path)
+        graph = read_graphml(path).graph
     except ValueError as error:
         refusal = str(error)
     if graph is None:

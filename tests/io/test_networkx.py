@@ -12,6 +12,8 @@ from sg3d_jax.io.networkx import (
     from_networkx,
     graph_from_node_link,
     graph_to_node_link,
+    read_networkx,
+    read_node_link,
     to_networkx,
 )
 from sg3d_jax.scene.graph import make_graph, undirected_edges
@@ -98,6 +100,66 @@ def test_networkx_reads_our_document_and_we_read_its(graphs):
 
 def test_the_authors_attributes_are_read_bit_for_bit():
     assert_same_graph(from_networkx(authors_graph()), one_room())
+
+
+HELD = [{"id": 40, "seen": [1, None]}, {"id": "west"}, {"id": 0, "type": "ws"}, {}, {"id": 9}]
+
+
+def test_attributes_are_those_of_networkx_and_ids_its_nodes():
+    graph = to_networkx(one_room(), HELD, np.array([0.5, 0, 1, 0.75, 0.125]))
+    assert list(graph) == [40, "west", 0, 41, 9]
+    assert graph.nodes[40]["seen"] == [1, None]
+    assert "id" not in graph.nodes[40]
+    assert graph.edges["west", 41] == {"kind": "part_of", "confidence": 0.75}
+    assert graph.edges[40, 0] == {"kind": "proximity"}
+    read = read_networkx(graph)
+    assert_same_graph(read.graph, one_room())
+    assert read.attributes == [*HELD[:3], {"id": 41}, HELD[4]]
+    assert read.edge_confidence.tolist() == [0.5, 0, 1, 0.75, 0.125]
+
+
+def test_networkx_carries_attributes_through_its_documents():
+    document = json.loads(json.dumps(graph_to_node_link(one_room(), HELD, np.full(5, 0.5))))
+    graph = networkx.node_link_graph(document, edges="edges")
+    assert networkx.utils.graphs_equal(graph, to_networkx(one_room(), HELD, np.full(5, 0.5)))
+    read = read_node_link(networkx.node_link_data(graph, edges="edges"))
+    assert_same_graph(read.graph, one_room())
+    assert read.attributes[:3] == HELD[:3]
+    assert read.edge_confidence.tolist() == [0.5] * 5
+
+
+def test_what_others_say_of_nodes_is_read_as_json_and_our_own_names_are_left_out():
+    graph = authors_graph()
+    graph.nodes[7].update(label="north", seen=np.float32(0.5), cloud=np.eye(2))
+    read = read_networkx(networkx.relabel_nodes(graph, {9: (4, 2)}))
+    assert read.attributes == [
+        {"id": 7, "y": 3, "seen": 0.5, "cloud": [[1, 0], [0, 1]]},
+        {"id": 2},
+        {},  # no document of ours could hold that id
+        {"id": "f"},
+        {"id": 11},
+    ]
+    assert json.dumps(read.attributes)
+    assert read.edge_confidence is None
+
+
+@pytest.mark.parametrize("node", [0, 3])
+def test_edges_have_confidence_if_each_part_of_edge_says_so(node):
+    graph = to_networkx(one_room(), edge_confidence=np.full(5, np.float64(0.5)))
+    assert read_networkx(graph).edge_confidence.tolist() == [0.5] * 5
+    graph.edges[0, 2]["confidence"] = "near"  # proximity
+    assert read_networkx(graph).edge_confidence.tolist() == [0.5] * 5
+    graph.edges[1, node]["confidence"] = "high"
+    assert read_networkx(graph).edge_confidence is None
+
+
+def test_attributes_that_networkx_could_not_tell_from_ours_are_refused():
+    for held, sentence in (
+        ([{}, {"pos": 3}], r"attributes: nodes\[1\] has 'pos', which the result says itself"),
+        ([{"id": 3}, {"id": 3}], r"attributes: nodes\[1\].id is 3 again, expected unique ids"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            to_networkx(one_room(), [*held, {}, {}, {}])
 
 
 @pytest.mark.parametrize(

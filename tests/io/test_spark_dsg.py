@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.data import synthetic
-from sg3d_jax.io.formats import read_graphs, write_graphs
-from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg
-from sg3d_jax.scene.graph import features_of, make_graph, subgraph, undirected_edges
+from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs
+from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg, read_spark_dsg
+from sg3d_jax.scene.graph import features_of, make_graph, parts_first, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import (
     BUILDING,
     CITY,
@@ -116,6 +116,38 @@ def test_walls_in_metadata_leave_every_node_at_most_one_parent():
     assert held == [None, [wall], [wall], *[None] * 7]
 
 
+SURE = np.linspace(0, 1, 10)  # of edges
+HELD = [{"id": f"n{row}", "confidence": row / 9, "seen": [row, None]} for row in range(10)]
+
+
+@pytest.mark.parametrize("walls", WALLS)
+def test_metadata_say_what_else_is_known_and_how_sure_it_is(walls):
+    made = json.loads(json.dumps(graph_to_spark_dsg(city(), walls, HELD, SURE)))
+    ids, kept = zip(*((n["id"], n["attributes"]["metadata"]) for n in made["nodes"]), strict=True)
+    assert {name: kept[5][name] for name in HELD[5]} == HELD[5]
+    said = {frozenset((e["source"], e["target"])): e["info"]["metadata"] for e in made["edges"]}
+    for (part, whole), value in zip(parts_first(city()).tolist(), SURE, strict=True):
+        if walls == "metadata" and whole == 4:
+            assert kept[part]["walls_confidence"] == [value]
+        else:
+            of_edge = said[frozenset((ids[part], ids[whole]))]
+            assert of_edge == {"relation": "part_of", "confidence": value}
+    assert said[frozenset(ids[:2])] == {"relation": "proximity"}
+    read = read_spark_dsg(made)
+    assert_same_graph(read.graph, city())
+    assert read.attributes == HELD
+    npt.assert_array_equal(read.edge_confidence, SURE)
+
+
+@pytest.mark.parametrize("said", [None, "high", [0.5, 0.5], [2], ["high"]])
+def test_confidence_of_walls_that_is_none_is_let_through(said):
+    made = graph_to_spark_dsg(city(), "metadata", HELD, SURE)
+    made["nodes"][1]["attributes"]["metadata"]["walls_confidence"] = said
+    read = read_spark_dsg(made)
+    assert read.edge_confidence is None
+    assert read.attributes == HELD
+
+
 def test_only_what_was_not_observed_is_predicted():
     predicted = [n["attributes"]["is_predicted"] for n in graph_to_spark_dsg(city())["nodes"]]
     assert predicted == [False] * 4 + [True] * 6
@@ -186,6 +218,20 @@ def test_what_their_library_saves_again_is_the_same_graph(tmp_path, walls):
         assert_same_graph(read, graph)
 
 
+@pytest.mark.parametrize("walls", WALLS)
+def test_what_else_is_known_survives_their_library(tmp_path, walls):
+    spark_dsg = library()
+    said = {"attributes": [HELD], "edge_confidence": [SURE]}
+    write_graphs(tmp_path / "a.json", [city()], "spark-dsg", walls=walls, **said)
+    loaded = spark_dsg.DynamicSceneGraph.load(str(tmp_path / "a.json"))
+    assert loaded.get_node(spark_dsg.NodeSymbol("R", 5)).attributes.metadata.get()["id"] == "n5"
+    loaded.save(str(tmp_path / "b.json"))
+    (read,) = read_with_attributes(tmp_path / "b.json")
+    assert_same_graph(read.graph, city())
+    assert read.attributes == HELD
+    npt.assert_array_equal(read.edge_confidence, SURE)
+
+
 def test_no_field_of_theirs_is_missing(tmp_path):
     spark_dsg = library()
     write_graphs(tmp_path / "a.json", [city()], "spark-dsg")
@@ -243,6 +289,17 @@ def test_layers_without_nodes_may_have_any_name():
     read = graph_from_spark_dsg(hydra())
     assert read.nodes.label.tolist() == [ROOM, BUILDING]
     npt.assert_array_equal(undirected_edges(read, PART_OF), [[0, 1]])
+
+
+def test_symbols_that_are_not_numbered_by_row_are_ids():
+    assert read_spark_dsg(document()).attributes == [{}] * 10
+    foreign = hydra()
+    foreign["nodes"][0]["id"] += 5
+    foreign["edges"][0]["target"] += 5
+    foreign["nodes"][0]["attributes"]["metadata"] = {"id": "hall", "label": "big", "door": 3}
+    read = read_spark_dsg(foreign)
+    assert read.graph.nodes.label.tolist() == [BUILDING, ROOM]
+    assert read.attributes == [{"id": ord("B") << 56}, {"id": "hall", "door": 3}]
 
 
 def test_a_node_of_a_layer_that_is_no_concept_is_refused():

@@ -10,7 +10,15 @@ from matplotlib.image import imread
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.ontology import CITY, FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 from sg3d_jax.viz.figure import contact_sheet, dataset_sheet, draw_graph, save_picture
-from sg3d_jax.viz.style import lifted, plane_segments, project, styles_of, view_of
+from sg3d_jax.viz.style import (
+    EDGE_COLOUR,
+    faded,
+    lifted,
+    plane_segments,
+    project,
+    styles_of,
+    view_of,
+)
 from tests.viz.small_city import one_room, small_city
 
 STYLES = styles_of(PAPER_ONTOLOGY)
@@ -84,6 +92,37 @@ def test_a_picture_is_saved_whole_with_colours_in_it(tmp_path):
 def test_no_window_is_opened(tmp_path):
     save_picture(one_room(), tmp_path / "a.svg")
     assert plt.get_fignums() == []
+
+
+NODES, EDGES = np.array([1, 0.5, 0.25, 0.75, 0]), np.array([1, 0.5, 0.25, 0])
+
+
+def test_what_is_unsure_is_faint():
+    drawn = draw_graph(one_room(), node_confidence=NODES, edge_confidence=EDGES).collections
+    edges, planes = (item for item in drawn if isinstance(item, LineCollection))
+    npt.assert_array_equal(edges.get_color(), [to_rgba(c) for c in faded(EDGE_COLOUR, EDGES)])
+    colours = [to_rgba(c) for c in faded(STYLES[PLANE].colour, NODES[:3])]
+    npt.assert_array_equal(planes.get_color(), colours)
+    dots = [item for item in drawn if isinstance(item, PathCollection)]
+    npt.assert_array_equal(dots[0].get_facecolor(), colours)
+    for item, concept, row in zip(dots[1:], (ROOM, FLOOR), (3, 4), strict=True):
+        (colour,) = faded(STYLES[concept].colour, NODES[row : row + 1])
+        npt.assert_array_equal(item.get_facecolor(), [to_rgba(colour)])
+
+
+def test_nodes_may_be_faint_while_edges_are_not_and_the_other_way_round():
+    for said in ({"node_confidence": np.zeros(5)}, {"edge_confidence": np.zeros(4)}):
+        edges = draw_graph(one_room(), **said).collections[0]
+        faint = to_rgba(faded(EDGE_COLOUR, np.zeros(1))[0])
+        assert (tuple(edges.get_color()[0]) == faint) == ("edge_confidence" in said)
+
+
+@pytest.mark.parametrize("said", [{}, {"node_confidence": NODES}, {"edge_confidence": EDGES}])
+def test_the_legend_says_what_faint_means_if_something_may_be(tmp_path, figures, said):
+    save_picture(one_room(), tmp_path / "a.png", **said)
+    (legend,) = figures[0].legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["plane", "room", "floor", *["faint: unsure"] * bool(said)]
 
 
 def test_the_legend_names_what_occurs(tmp_path, figures):

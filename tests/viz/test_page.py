@@ -15,7 +15,7 @@ import pytest
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM
 from sg3d_jax.viz.page import graph_traces, hover_text, save_page
-from sg3d_jax.viz.style import lifted, styles_of
+from sg3d_jax.viz.style import EDGE_COLOUR, faded, lifted, styles_of
 from tests.viz.small_city import FLOORS, one_room, small_city
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -224,6 +224,73 @@ def test_hover_text_gives_true_heights_and_cuts_long_lists():
         [[i, 20] for i in range(20)],
     )
     assert hover_text(crowd)[20].endswith("plane 10, plane 11, 8 more")
+
+
+NODES, EDGES = np.array([1, 0.5, 0.25, 0.75, np.nan]), np.array([1, 0.5, 0.25, 0])
+
+
+def test_hover_text_says_how_sure_nodes_and_edges_are():
+    text = hover_text(one_room(), NODES, EDGES)
+    assert text[1].endswith("<br>confidence 0.50<br>part of room 3 (0.50)")
+    assert text[3] == (
+        "<b>room 3</b><br>centroid (1.00, 0.00, 1.00) m<br>confidence 0.75"
+        "<br>part of floor 4 (0.00)<br>3 children: plane 0 (1.00), plane 1 (0.50), plane 2 (0.25)"
+    )
+    assert text[4].endswith("m<br>1 child: room 3 (0.00)")  # it does not say
+    assert hover_text(one_room(), NODES)[1].endswith("<br>confidence 0.50<br>part of room 3")
+    assert hover_text(one_room(), None, EDGES)[1].endswith(")<br>part of room 3 (0.50)")
+
+
+def test_what_is_unsure_is_faint():
+    traces = graph_traces(one_room(), None, NODES, EDGES)
+    blue = faded(styles_of(PAPER_ONTOLOGY)[PLANE].colour, NODES[:3])
+    assert layer(traces, "plane")["marker"]["color"] == blue
+    assert layer(traces, "strips")["vertexcolor"] == np.repeat(blue, 4).tolist()
+    lines = np.concatenate([np.repeat(blue, 3)] * 2).tolist()
+    assert layer(traces, "plane lines")["line"]["color"] == lines
+    grey = faded(EDGE_COLOUR, EDGES)
+    assert layer(traces, "part of")["line"]["color"] == np.repeat(grey, 3).tolist()
+    (green,) = layer(traces, "floor")["marker"]["color"]
+    assert green == styles_of(PAPER_ONTOLOGY)[FLOOR].colour
+
+
+def test_the_legend_keeps_full_colours_and_says_what_faint_means():
+    plain, unsure = graph_traces(one_room()), graph_traces(one_room(), None, NODES, EDGES)
+    assert [trace["uid"] for trace in unsure[: len(plain)]] == [trace["uid"] for trace in plain]
+
+    def shown(traces):
+        listed = [t for t in traces if t.get("showlegend", True) and t["type"] != "mesh3d"]
+        paint = [(t["name"], t["legendgroup"], t["mode"], t.get("legendrank")) for t in listed]
+        colours = [t["line" if t["mode"] == "lines" else "marker"]["color"] for t in listed]
+        return dict(zip(paint, colours, strict=True))
+
+    assert list(shown(unsure).items() - shown(plain).items()) == [
+        (("faint: unsure", "faint: unsure", "lines", 1003), faded(EDGE_COLOUR, np.array([0.5]))[0])
+    ]
+    assert shown(plain).items() < shown(unsure).items()
+    keys = [trace["uid"] for trace in graph_traces(one_room(), None, None, EDGES)[len(plain) :]]
+    assert keys == ["part of key", "faint key"]
+
+
+def test_plotly_knows_what_makes_things_faint(tmp_path):
+    # Plotly makes uids selectors of CSS, which a colon ends.
+    said = {"node_confidence": [NODES, None], "edge_confidence": [None, EDGES]}
+    save_page([one_room()] * 2, tmp_path / "a.html", **said)
+    for graph in embedded(tmp_path / "a.html")["graphs"]:
+        assert len(go.Figure(graph["data"], graph["layout"]).data) == len(graph["data"])
+        uids = [trace["uid"] for trace in graph["data"]]
+        assert len(set(uids)) == len(uids)
+        assert not any(":" in uid for uid in uids)
+        assert "faint key" in uids
+    assert "confidence 0.50" in embedded(tmp_path / "a.html")["graphs"][0]["text"][1]
+
+
+def test_confidence_of_other_nodes_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"node_confidence has shape \[5\], expected \[27\]"):
+        save_page([small_city()], tmp_path / "a.html", node_confidence=[NODES])
+    with pytest.raises(ValueError, match=r"edge_confidence has shape \[5\], expected \[4\]"):
+        save_page([one_room()], tmp_path / "a.html", edge_confidence=[NODES])
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_graph_that_breaks_the_hierarchy_is_shown():

@@ -1,12 +1,15 @@
 import numpy as np
 import numpy.testing as npt
+import pytest
 
 from sg3d_jax.scene.graph import features_of, make_graph
 from sg3d_jax.scene.ontology import BUILDING, PAPER_ONTOLOGY, PLANE
 from sg3d_jax.scene.validate import validate_graph
 from sg3d_jax.viz.style import (
     AZIMUTH,
+    check_confidence,
     crowding,
+    faded,
     floor_of,
     lifted,
     plane_segments,
@@ -127,3 +130,18 @@ def test_only_the_dots_of_large_graphs_shrink():
     label = np.full(1000, PLANE)
     vectors = np.tile([1.0, 0.0, 0.0], (1000, 1))
     assert 0.2 < crowding(make_graph(label, vectors, vectors, np.ones(1000), [])) < 0.5
+
+
+def test_colours_fade_to_white_as_confidence_falls():
+    colours = faded("#dc2626", np.array([1.0, 0.7, 0.0, np.nan]))
+    assert colours == ["#dc2626", "#ec8a8a", "#fce9e9", "#dc2626"]
+    assert faded("#dc2626", np.zeros(0)) == []
+
+
+def test_confidence_of_another_number_of_nodes_or_edges_is_refused():
+    check_confidence(one_room(), np.ones(5), np.ones(4))
+    check_confidence(one_room(), None, None)
+    with pytest.raises(ValueError, match=r"node_confidence has shape \[4\], expected \[5\]"):
+        check_confidence(one_room(), np.ones(4), None)
+    with pytest.raises(ValueError, match=r"edge_confidence has shape \[7\], expected \[4\]"):
+        check_confidence(one_room(), np.ones(5), np.ones(7))  # proximity has none

@@ -1,0 +1,83 @@
+"""`sg3d export | view`: what a file says beside its graphs goes along."""
+
+import json
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from sg3d_jax.io.attributes import node_confidence_of
+from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs
+from sg3d_jax.scene.graph import parts_first
+from tests.command_line import SCENES, as_csv, refusal, run, write
+from tests.two_rooms import two_rooms
+
+NODES = np.linspace(0, 1, 12)
+EDGES = np.linspace(1, 0, len(parts_first(two_rooms())))
+ATTRIBUTES = [
+    {"id": f"n{row}" if row % 2 else row + 7, "confidence": NODES[row], "seen": [row, {"by": None}]}
+    for row in range(12)
+]
+
+
+@pytest.fixture(autouse=True)
+def _workplace(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_ids_further_keys_and_confidence_go_from_format_to_format():
+    names = ["a.json", "b.json", "c.graphml", "d.json", "e.jsonl", "f.json", "g.json"]
+    formats = ["json", "networkx", "graphml", "spark-dsg", "spark-dsg", "networkx", "json"]
+    write_graphs("a.json", [two_rooms()], attributes=[ATTRIBUTES], edge_confidence=[EDGES])
+    for source, name, to in zip(names, names[1:], formats[1:], strict=False):
+        walls = ("--walls", "metadata") if name == "e.jsonl" else ()
+        run("export", source, "-o", name, "--to", to, *walls)
+        (read,) = read_with_attributes(name)
+        assert json.dumps(read.attributes) == json.dumps(ATTRIBUTES), name
+        npt.assert_array_equal(read.edge_confidence, EDGES, err_msg=name)
+    with open("a.json") as first, open("g.json") as last:
+        assert first.read() == last.read()
+
+
+def test_columns_of_a_table_do_too():
+    rows = as_csv(SCENES[0]).splitlines()
+    wide = [f"{row},{cell}" for row, cell in zip(rows, ["id", *range(50, 99)], strict=False)]
+    run("export", write("a.csv", "\n".join(wide)), "-o", "a.graphml", "--to", "graphml")
+    (read,) = read_with_attributes("a.graphml")
+    assert read.attributes == [{"id": 50 + row} for row in range(len(SCENES[0]["planes"]))]
+
+
+def test_npz_keeps_the_graphs_alone():
+    write_graphs("a.json", [two_rooms()], attributes=[ATTRIBUTES], edge_confidence=[EDGES])
+    run("export", "a.json", "-o", "a.npz", "--to", "npz")
+    (graph,) = read_graphs("a.npz")
+    npt.assert_array_equal(graph.nodes.position, two_rooms().nodes.position)
+
+
+def test_what_a_format_says_itself_is_refused(capsys):
+    write_graphs("a.json", [two_rooms()], attributes=[[{"x": 3}, *[{}] * 11]])
+    line = refusal(capsys, "export", "a.json", "-o", "a.graphml", "--to", "graphml")
+    assert line.startswith("a.graphml: graph 0: nodes[0] has 'x', which the result says itself")
+
+
+def test_a_view_is_faint_where_the_file_is_unsure(monkeypatch):
+    write_graphs("a.jsonl", [two_rooms()] * 2, attributes=[ATTRIBUTES, [{}] * 12])
+    write_graphs("b.json", [two_rooms()], "networkx", edge_confidence=[EDGES])
+    drawn = []
+    monkeypatch.setattr("sg3d_jax.viz.page.save_page", lambda *_, **said: drawn.append(said))
+    monkeypatch.setattr("sg3d_jax.viz.figure.save_picture", lambda *_, **said: drawn.append(said))
+    run("view", "a.jsonl", "-o", "a.html")
+    run("view", "b.json", "-o", "b.png")
+    (page, picture) = drawn
+    npt.assert_array_equal(page["node_confidence"][0], node_confidence_of(ATTRIBUTES))
+    assert page["node_confidence"][1] is None
+    assert page["edge_confidence"] == [None, None]
+    assert picture["node_confidence"] is None
+    npt.assert_array_equal(picture["edge_confidence"], EDGES)
+
+
+def test_a_page_says_how_sure_it_is():
+    write_graphs("a.json", [two_rooms()], attributes=[ATTRIBUTES], edge_confidence=[EDGES])
+    run("view", "a.json", "-o", "a.html")
+    with open("a.html") as file:
+        assert "confidence 0.45" in file.read()
