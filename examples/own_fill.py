@@ -121,16 +121,20 @@ class AnchorFill:
         key: Key[Array, ""],
         graph: sg.SceneGraph,
         block_mask: Bool[Array, " M"],
+        rules: sg.Rules | None = None,
     ) -> sg.Block:
-        """Draws a block of one node."""
+        """Draws a block of one node: a concept that may come, and parts that are still free."""
         key_label, key_anchor, key_parts = jax.random.split(key, 3)
         nodes, observed = graph.nodes, jnp.asarray(self.ontology.is_observed)
         logits = self._run("label_logits", params, graph)
-        label = jax.random.categorical(key_label, jnp.where(observed, -jnp.inf, logits))
+        possible, free = ~observed, jnp.ones((len(observed), 1), bool)
+        if rules is not None:
+            possible, free = rules.label, rules.part
+        label = jax.random.categorical(key_label, jnp.where(possible, logits, -1e9))
         anchor_logits, _ = self._run("part_logits", params, graph, label, jnp.asarray(0))
-        anchor = jax.random.categorical(key_anchor, anchor_logits)
+        anchor = jax.random.categorical(key_anchor, jnp.where(free[label], anchor_logits, -1e9))
         _, logits = self._run("part_logits", params, graph, label, anchor)
-        drawn = jax.random.bernoulli(key_parts, jax.nn.sigmoid(logits)) & nodes.mask
+        drawn = jax.random.bernoulli(key_parts, jax.nn.sigmoid(logits)) & nodes.mask & free[label]
         parts = drawn.at[anchor].set(True)
         position = jnp.sum(nodes.position * parts[:, None], axis=0) / jnp.sum(parts)
         return sg.Block(

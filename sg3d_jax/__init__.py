@@ -8,6 +8,7 @@ from sg3d_jax import runtime
 if TYPE_CHECKING:
     from sg3d_jax.data.registry import make as make_dataset
     from sg3d_jax.data.splits import split
+    from sg3d_jax.fill.constraints import Rules
     from sg3d_jax.fill.protocol import Fill, Statistics
     from sg3d_jax.flagg.grow import Grown, grow
     from sg3d_jax.infer.complete import Completion, complete
@@ -68,6 +69,7 @@ __all__ = [
     "Ontology",
     "PackedGraph",
     "Rule",
+    "Rules",
     "SceneGraph",
     "Statistics",
     "bucket",
@@ -109,6 +111,7 @@ __all__ = [
 # and JAX takes seconds to load.
 _NAMES = {
     "data.splits": ("split",),
+    "fill.constraints": ("Rules",),
     "fill.protocol": ("Fill", "Statistics"),
     "flagg.grow": ("Grown", "grow"),
     "infer.complete": ("Completion", "complete"),

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, Int, Key
 from sg3d_jax.diffusion import gaussian
 from sg3d_jax.diffusion.sampler import ancestral_sample
 from sg3d_jax.fill import digress, midi
+from sg3d_jax.fill.constraints import rules_of
 from sg3d_jax.fill.midi import Frame, MiDiConfig, Schedules
 from sg3d_jax.fill.protocol import Params, Statistics, Terms
 from sg3d_jax.flagg.grow import ONE_SHOT, Grown
@@ -135,31 +136,37 @@ class MiDiOracle:
         frame, schedules = midi.frame_of(planes, self.statistics), midi.make_schedules(self.config)
         block_mask = jnp.arange(one_shot_capacity(planes.nodes.mask.shape[0])) < num_new
         masks, marginals = (block_mask, planes.nodes.mask), self.statistics.marginals
+        rules = rules_of(planes, block_mask.shape[0], last=True)
         num_draws = self.config.resamplings + 1
+        Known = tuple[midi.State, digress.Logits]
 
-        def step(key: Array, noisy: midi.State, now: Array, then: Array) -> midi.State:
+        def step(key: Array, state: Known, now: Array, then: Array) -> Known:
             signal, signal_next = schedules.at(now), schedules.at(then)
             ratio = Schedules(*(low / high for low, high in zip(signal, signal_next, strict=True)))
 
-            def draw(noisy: midi.State, key: Key[Array, ""]) -> tuple[midi.State, midi.State]:
+            def draw(noisy: midi.State, key: Key[Array, ""]) -> tuple[midi.State, Known]:
                 key_planes, key_draw, key_undo = jax.random.split(key, 3)
                 known = self._observe(params, key_planes, planes, frame, signal), frame, block_mask
                 predicted = midi.denoise(
                     self.network, params["denoiser"], *known, noisy, signal, now
                 )
                 drawn = midi.reverse_step(
-                    key_draw, noisy, predicted, signal_next, signal, *masks, marginals
+                    key_draw, noisy, predicted, signal_next, signal, *masks, marginals, rules
                 )
-                return midi.add_noise(key_undo, drawn, ratio, *masks, marginals), drawn
+                undone = midi.add_noise(key_undo, drawn, ratio, *masks, marginals)
+                return undone, (drawn, predicted[:2])
 
-            _, drawn = jax.lax.scan(draw, noisy, jax.random.split(key, num_draws))
+            _, drawn = jax.lax.scan(draw, state[0], jax.random.split(key, num_draws))
             return jax.tree.map(lambda leaf: leaf[-1], drawn)
 
-        key_start, key_steps = jax.random.split(key)
-        start = midi.draw_start(key_start, *masks, marginals)
+        key_start, key_steps, key_last = jax.random.split(key, 3)
+        nothing = digress.no_logits(*masks, self.ontology.num_concepts)
+        start = midi.draw_start(key_start, *masks, marginals), nothing
         times = self.config.diffusion_steps, self.config.sampling_steps
-        state = ancestral_sample(step, start, key_steps, *times)
-        graph, _ = append_block(_with_room(planes), midi.to_block(state, frame, block_mask))
+        state, logits = ancestral_sample(step, start, key_steps, *times)
+        topology, mask = digress.settled(key_last, state.topology, logits, block_mask, rules)
+        block = midi.to_block(midi.State(topology, state.position), frame, mask)
+        graph, _ = append_block(_with_room(planes), block)
         return Grown(without_proximity(graph), jnp.asarray(ONE_SHOT), jnp.asarray(1))
 
     def _observe(

@@ -220,7 +220,8 @@ def draw_valid(
     log_odds = _mirrored(logits_edge[..., 1] - logits_edge[..., 0])
     label, mask = _draw_labels(key_label, rules, logits_label, log_odds, block_mask)
     pairs = _pairs_of(rules, label, mask)
-    edges = _with_least(rules, pairs, *_draw_edges(key_edges, rules, pairs, log_odds))
+    edges = _draw_edges(key_edges, rules, pairs, log_odds)
+    edges = _with_least(rules, pairs, edges, log_odds)
     return label, *_sound(rules, pairs, edges, mask)
 
 
@@ -279,14 +280,11 @@ def _draw_labels(
 
 def _draw_edges(
     key: Key[Array, ""], rules: Rules, pairs: Pairs, log_odds: Float[Array, "M tokens"]
-) -> tuple[Bool[Array, "M tokens"], Float[Array, "M tokens"]]:
+) -> Bool[Array, "M tokens"]:
     """Draws edges: of one whole at most by their odds, of any number each by its own.
 
     A part takes none with odds of one: the chance of each choice is that of independent edges,
     given that there is one at most (the Gumbel-max trick).
-
-    Returns:
-      The edges, and the log odds of all pairs with their noise.
     """
     num_block = log_odds.shape[0]
     keys = jax.random.split(key, 3)
@@ -307,14 +305,14 @@ def _draw_edges(
     # Of two nodes of the block, the part decides.
     inside = up[:, :num_block] | up[:, :num_block].T | free[:, :num_block]
     across = (up | down | free)[:, num_block:]
-    return jnp.concatenate([inside, across], axis=1), value
+    return jnp.concatenate([inside, across], axis=1)
 
 
 def _with_least(
     rules: Rules,
     pairs: Pairs,
     edges: Bool[Array, "M tokens"],
-    value: Float[Array, "M tokens"],
+    log_odds: Float[Array, "M tokens"],
 ) -> Bool[Array, "M tokens"]:
     """Gives nodes that have too few parts those of the best odds that no other node has taken."""
     num_block, num_tokens = edges.shape
@@ -323,7 +321,7 @@ def _with_least(
         poor = jnp.sum(edges & pairs.part, axis=-1) < rules.least[pairs.label]
         claimed = (pairs.rival.astype(jnp.float32) @ (edges & pairs.down).astype(jnp.float32)) > 0
         offered = pairs.part & old[None, :] & ~edges & ~claimed
-        best = jnp.argmax(jnp.where(offered, value, NEVER), axis=-1)
+        best = jnp.argmax(jnp.where(offered, log_odds, NEVER), axis=-1)
         given = poor[:, None] & offered & (jnp.arange(num_tokens)[None, :] == best[:, None])
         edges |= given
     return edges

@@ -130,10 +130,14 @@ def _repeated(graph: SceneGraph) -> Iterator[tuple[Odd, int]]:
 
 def _num_apart(graph: SceneGraph) -> int:
     """Returns how many nodes are outside the largest component of the part-of edges."""
+    return len(graph.nodes.label) - int(np.bincount(components(graph)).max(initial=0))
+
+
+def components(graph: SceneGraph) -> np.ndarray:
+    """Returns int[n], which piece of those that part-of edges hold together each node is in."""
     num_nodes, pairs = len(graph.nodes.label), parts_first(graph)
     links = coo_array((np.ones(len(pairs), bool), tuple(pairs.T)), (num_nodes, num_nodes))
-    _, component = connected_components(links, directed=False)
-    return num_nodes - int(np.bincount(component).max(initial=0))
+    return connected_components(links, directed=False)[1]
 
 
 def _text_of_too_few(ontology: Ontology, name: str) -> str:

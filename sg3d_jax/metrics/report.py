@@ -2,28 +2,30 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.fgw_problem import ALPHA
 from sg3d_jax.metrics.mmd import mmd_scores
-from sg3d_jax.metrics.oddities import Oddity, oddities
 from sg3d_jax.metrics.structure import (
     exact_structure,
     failures,
+    hangs_together,
+    has_one_whole_each,
     node_count_error,
     num_duplicates,
     num_forbidden_edges,
 )
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
-NOT_ONE_WHOLE: Final = {Oddity.WITHOUT_WHOLE, Oddity.SEVERAL_WHOLES}
-
 
 def score(
-    generated: Sequence[SceneGraph], truth: Sequence[SceneGraph], alpha: float = ALPHA
+    generated: Sequence[SceneGraph],
+    truth: Sequence[SceneGraph],
+    alpha: float = ALPHA,
+    pieces: Sequence[np.ndarray] | None = None,
 ) -> dict[str, Any]:
     """Scores generated graphs against the true ones over the same observed nodes.
 
@@ -31,12 +33,15 @@ def score(
       generated: host graphs.
       truth: host graphs, in the same order.
       alpha: weight of the structure in FGW.
+      pieces: for each graph int[observed], into how many pieces each observed node was cut, each of
+        which may have a whole of its own; None for one each.
 
     Returns:
       A dictionary that JSON can hold: the paper's seven scores (means of `fgw`, `gw` and `w`, and
       MMD^2 of `degree`, `spectrum`, `clustering` and `gin`); the share of graphs whose structure is
       exact; shares of graphs that obey the hierarchy (`one_parent`, `layer_rule`, `connected`,
-      `no_duplicates`); `precision` and `recall` of each concept: of its generated nodes those that
+      `no_duplicates`; what is observed and belongs to nothing in truth need not belong to
+      anything); `precision` and `recall` of each concept: of its generated nodes those that
       the FGW plan puts on true nodes of the same concept, and of the true ones those that are met
       so; mean absolute and signed errors of node counts, a concept and in total; for each kind of
       failure its `count` and the `share` of graphs that have it; and the FGW of every pair.
@@ -58,7 +63,7 @@ def score(
         "w": float(np.mean(scores.w)),
         **{name: mmd[name] for name in ("degree", "spectrum", "clustering", "gin")},
         "exact_structure": float(np.mean([exact_structure(*pair) for pair in pairs])),
-        **_rules(generated),
+        **_rules(pairs, pieces),
         **_levels(generated, truth, np.asarray(scores.matched)),
         "node_count_error": _node_count_errors(pairs),
         "failures": _failure_histogram(pairs),
@@ -100,14 +105,18 @@ def _numbers(run: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
             yield f"{name}, {concept}", value
 
 
-def _rules(generated: Sequence[SceneGraph]) -> dict[str, float]:
+def _rules(
+    pairs: Sequence[tuple[SceneGraph, SceneGraph]], pieces: Sequence[np.ndarray] | None
+) -> dict[str, float]:
     """Returns the share of graphs that obey each rule of the hierarchy."""
-    kinds = [{odd.kind for odd in oddities(graph)} for graph in generated]
+    counts = [None] * len(pairs) if pieces is None else pieces
     broken = {
-        "one_parent": [not of.isdisjoint(NOT_ONE_WHOLE) for of in kinds],
-        "layer_rule": [num_forbidden_edges(graph) > 0 for graph in generated],
-        "connected": [Oddity.APART in of for of in kinds],
-        "no_duplicates": [num_duplicates(graph) > 0 for graph in generated],
+        "one_parent": [
+            not has_one_whole_each(*pair, count) for pair, count in zip(pairs, counts, strict=True)
+        ],
+        "layer_rule": [num_forbidden_edges(made) > 0 for made, _ in pairs],
+        "connected": [not hangs_together(*pair) for pair in pairs],
+        "no_duplicates": [num_duplicates(made) > 0 for made, _ in pairs],
     }
     return {rule: 1 - float(np.mean(graphs)) for rule, graphs in broken.items()}
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sg3d_jax.metrics.oddities import components
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
 
@@ -213,6 +214,54 @@ def _num_parents(graph: Hierarchy, child: int, parent: int) -> list[int]:
         for node, label in enumerate(graph.label)
         if label == child
     ]
+
+
+def has_one_whole_each(
+    generated: SceneGraph, truth: SceneGraph, pieces: np.ndarray | None = None
+) -> bool:
+    """Returns whether each part has the one whole that the graph's highest concept asks for.
+
+    Args:
+      generated: host graph.
+      truth: over the same observed nodes: one that belongs to nothing there, or to several wholes,
+        need not have one, and may have several.
+      pieces: int[observed], into how many pieces each observed node was cut, each of which may have
+        a whole of its own; None for one each.
+    """
+    ontology, label = ontology_of(generated), np.asarray(generated.nodes.label)
+    observed = np.flatnonzero(generated.nodes.observed)
+    for part, whole in ontology.single_wholes:
+        if whole > label.max(initial=-1):
+            continue
+        least, most = np.ones(len(label), int), np.ones(len(label), int)
+        usual = _num_wholes(truth, part, whole)[np.asarray(truth.nodes.observed)]
+        least[observed] = np.minimum(usual, 1)
+        most[observed] = np.maximum(usual, 1 if pieces is None else pieces)
+        count = _num_wholes(generated, part, whole)
+        if np.any((label == part) & ((count < least) | (count > most))):
+            return False
+    return True
+
+
+def _num_wholes(graph: SceneGraph, part: int, whole: int) -> np.ndarray:
+    """Returns int[n], of how many nodes of one concept each node of another is part."""
+    label, (low, high) = np.asarray(graph.nodes.label), parts_first(graph).T
+    chosen = (label[low] == part) & (label[high] == whole)
+    return np.bincount(low[chosen], minlength=len(label))
+
+
+def hangs_together(generated: SceneGraph, truth: SceneGraph) -> bool:
+    """Returns whether part-of edges join all nodes, but for observed ones that truth joins to none.
+
+    Args:
+      generated: host graph.
+      truth: over the same observed nodes.
+    """
+    alone = np.ones(len(truth.nodes.label), bool)
+    alone[parts_first(truth).ravel()] = False
+    needed = np.ones(len(generated.nodes.label), bool)
+    needed[np.flatnonzero(generated.nodes.observed)] = ~alone[np.asarray(truth.nodes.observed)]
+    return len(np.unique(components(generated)[needed])) <= 1
 
 
 def num_forbidden_edges(graph: SceneGraph) -> int:

@@ -15,7 +15,8 @@ from sg3d_jax.baselines.midi_oracle import (
     one_shot_capacity,
     one_shot_cut,
 )
-from sg3d_jax.fill import midi
+from sg3d_jax.fill import digress, midi
+from sg3d_jax.fill.constraints import rules_of
 from sg3d_jax.fill.midi import Frame, Schedules, make_schedules
 from sg3d_jax.flagg.grow import ONE_SHOT
 from sg3d_jax.infer.complete import complete
@@ -145,6 +146,7 @@ def test_a_sample__is_that_of_a_loop_that_undoes_each_step_and_takes_it_again(mo
     frame = midi.frame_of(planes, STATISTICS)
     mask = jnp.arange(one_shot_capacity(CAPACITY.nodes)) < NUM_NEW
     known = mask, planes.nodes.mask, STATISTICS.marginals
+    rules = rules_of(planes, len(mask), last=True)
 
     @jax.jit
     def draw(key, state, now, then):
@@ -154,17 +156,18 @@ def test_a_sample__is_that_of_a_loop_that_undoes_each_step_and_takes_it_again(mo
         shown = as_it_is_shown(None, None, inpaint(key_planes, planes, frame, at_now))
         inputs = model.network, None, shown, frame, mask, state, at_now, now
         predicted = midi.denoise(*inputs)
-        drawn = midi.reverse_step(key_draw, state, predicted, at_then, at_now, *known)
-        return drawn, midi.add_noise(key_undo, drawn, between, *known)
+        drawn = midi.reverse_step(key_draw, state, predicted, at_then, at_now, *known, rules)
+        return drawn, midi.add_noise(key_undo, drawn, between, *known), predicted[:2]
 
     key = jax.random.key(5)
-    key_start, key_steps = jax.random.split(key)
+    key_start, key_steps, key_last = jax.random.split(key, 3)
     state, keys = jax.jit(midi.draw_start)(key_start, *known), jax.random.split(key_steps, 3)
     for step, times in enumerate([(9, 6), (6, 3), (3, 0)]):
         first, again = jax.random.split(keys[step], 2)
-        _, undone = draw(first, state, *map(jnp.asarray, times))
-        state, _ = draw(again, undone, *map(jnp.asarray, times))
-    expected = midi.to_block(state, frame, mask)
+        _, undone, _ = draw(first, state, *map(jnp.asarray, times))
+        state, _, logits = draw(again, undone, *map(jnp.asarray, times))
+    topology, mask = digress.settled(key_last, state.topology, logits, mask, rules)
+    expected = midi.to_block(state._replace(topology=topology), frame, mask)
     grown = jax.jit(model.sample)(params, key, planes, jnp.asarray(NUM_NEW)).graph.nodes
     new = slice(NUM_PLANES, NUM_PLANES + NUM_NEW)
     np.testing.assert_array_equal(grown.label[new], expected.label[:NUM_NEW])

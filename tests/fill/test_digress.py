@@ -93,7 +93,7 @@ def noise_of(key, block, old_mask, signal):
 def sample_of(params, keys, conditioning, block_mask):
     def one(key):
         inputs = params, key, conditioning, block_mask, SCHEDULE, 3, MARGINALS
-        return digress.sample(TOLD, *inputs)
+        return digress.sample(TOLD, *inputs)[0]
 
     return jax.vmap(one)(keys)
 
@@ -240,7 +240,7 @@ CLOCK = Clock(*[0] * 6)
 def test_a_network__is_told_the_time_at_which_a_step_begins(num_steps, expected):
     """The last of two steps, a stride over five times, begins at time 2; that of five at 1."""
     inputs = old_graph(6), jnp.ones(NUM_BLOCK, bool), SCHEDULE, num_steps, MARGINALS
-    drawn = digress.sample(CLOCK, {}, jax.random.key(8), *inputs)
+    drawn, _ = digress.sample(CLOCK, {}, jax.random.key(8), *inputs)
     assert (drawn.label == expected).all()
 
 

@@ -99,8 +99,8 @@ def test_a_partial_graph__is_kept_bit_for_bit_and_comes_first():
 class Telling(AddRooms):
     """A Fill that puts what it was shown where its nodes stand."""
 
-    def sample(self, params, key, graph, mask):
-        block: Block = super().sample(params, key, graph, mask)
+    def sample(self, params, key, graph, mask, rules=None):
+        block: Block = super().sample(params, key, graph, mask, rules)
         is_near = graph.edges.mask & (graph.edges.relation == PROXIMITY)
         is_part = graph.edges.mask & (graph.edges.relation == PART_OF)
         counts = jnp.stack([jnp.sum(is_near), jnp.sum(is_part), graph.n_node[0]])

@@ -89,6 +89,27 @@ def test_rules__are_broken_one_by_one(graph, broken):
     assert all(report[rule] == 1 for rule in rules if rule not in broken)
 
 
+def test_rules__leave_alone_what_truth_leaves_alone_and_pieces_their_own_wholes():
+    """A plane in two rooms, and one in none: sound where truth or its pieces have it so."""
+    shared = changed(part_of=[*PART_OF_PAIRS, (0, NUM_PLANES + 2)])
+    alone = changed(part_of=PART_OF_PAIRS[:2] + PART_OF_PAIRS[3:])
+    one, two = np.ones(NUM_PLANES, int), np.r_[2, np.ones(NUM_PLANES - 1, int)]
+    sound = two_rooms()
+    for made, truth, pieces, expected in (
+        (shared, sound, None, 0),
+        (shared, sound, [one], 0),
+        (shared, sound, [two], 1),
+        (shared, shared, None, 1),
+        (sound, shared, None, 1),
+        (alone, alone, None, 1),
+        (sound, alone, None, 1),
+        (alone, sound, [two], 0),
+    ):
+        assert score([made], [truth], pieces=pieces)["one_parent"] == expected
+    assert score([alone], [alone])["connected"] == 1
+    assert score([alone], [sound])["connected"] == 0
+
+
 def test_levels__a_missing_node_costs_recall_and_a_second_one_precision():
     fewer = score([room_of_three_planes(floor=False)], [room_of_three_planes(floor=True)])
     assert fewer["precision"] == {"room": pytest.approx(1)}
