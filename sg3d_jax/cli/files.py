@@ -31,13 +31,14 @@ def view(source: Positional[str], output: Output, index: int | None = None) -> N
     check_output(output, (*PICTURES, *PAGES))
     is_page = output.suffix.lower() in PAGES
     reads = read_with_attributes(source, index if is_page else index or 0, 100)
-    graphs, edges = [read.graph for read in reads], [read.edge_confidence for read in reads]
-    nodes = [node_confidence_of(read.attributes) for read in reads]
+    graphs = [read.graph for read in reads]
+    of_nodes = [node_confidence_of(read.attributes) for read in reads]
+    of_edges = [read.edge_confidence for read in reads]
     if is_page:
-        save_page(graphs, output, source, node_confidence=nodes, edge_confidence=edges)
+        save_page(graphs, output, source, node_confidence=of_nodes, edge_confidence=of_edges)
         print(f"{output}: page of {counted(len(graphs))} of {source}")
     else:
-        save_picture(graphs[0], output, node_confidence=nodes[0], edge_confidence=edges[0])
+        save_picture(graphs[0], output, node_confidence=of_nodes[0], edge_confidence=of_edges[0])
         print(f"{output}: picture of {source}")
 
 

@@ -66,7 +66,7 @@ def check_attributes(
             row_of_id[held[ID]] = row
         try:
             json.dumps(held, allow_nan=False)
-        except (TypeError, ValueError, RecursionError) as error:
+        except (TypeError, ValueError) as error:
             raise ValueError(f"{here} is {held!r:.60}, expected JSON ({error})") from error
 
 

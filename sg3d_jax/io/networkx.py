@@ -26,6 +26,7 @@ from sg3d_jax.io.attributes import (
     Attributes,
     Read,
     check_attributes,
+    check_edge_confidence,
     edge_confidence_of,
     further,
     is_id,
@@ -76,12 +77,15 @@ def to_networkx(
       `normal` are lists.
 
     Raises:
-      ValueError: one sentence that names a node and its attribute, which a graph cannot hold.
+      ValueError: one sentence that names a node and its attribute, which a graph cannot hold, or
+        the confidence of an edge.
     """
     import networkx
 
     held: Attributes = [{}] * len(graph.nodes.label) if attributes is None else attributes
     check_attributes(held, "attributes", names=NAMES)
+    if edge_confidence is not None:
+        check_edge_confidence(edge_confidence, graph, "graph")
     made = networkx.Graph(**stated(ontology_of(graph)))
     made.add_nodes_from(_nodes(graph, held))
     made.add_edges_from(_edges(graph, node_ids(held), edge_confidence))

@@ -168,7 +168,7 @@ def append_block(graph: PackedGraph, block: Block) -> tuple[PackedGraph, Bool[Ar
     if not isinstance(graph, PackedGraph):
         raise TypeError("only a PackedGraph can be appended to: `pack` makes one of a padded graph")
     nodes, edges = graph.nodes, graph.edges
-    num_block, capacity, edge_capacity = (x.mask.shape[0] for x in (block, nodes, edges))
+    capacity, edge_capacity = nodes.mask.shape[0], edges.mask.shape[0]
     num_old, num_old_edges = graph.n_node[0], graph.n_edge[0]
     num_new = jnp.sum(block.mask, dtype=jnp.int32)
     place = num_old + jnp.cumsum(block.mask) - 1

@@ -116,8 +116,8 @@ def save_page(
         {concept for graph in graphs for concept in np.unique(graph.nodes.label).tolist()}
     )
     nothing = [None] * len(graphs)
-    nodes = nothing if node_confidence is None else node_confidence
-    edges = nothing if edge_confidence is None else edge_confidence
+    of_nodes = nothing if node_confidence is None else node_confidence
+    of_edges = nothing if edge_confidence is None else edge_confidence
     shown = [
         {
             "name": name,
@@ -126,7 +126,7 @@ def save_page(
             "data": graph_traces(graph, used, *sure),
             "layout": _layout(graph),
         }
-        for name, graph, *sure in zip(names, graphs, nodes, edges, strict=True)
+        for name, graph, *sure in zip(names, graphs, of_nodes, of_edges, strict=True)
     ]
     parts = {
         "title": html.escape(title or "scene graph"),

@@ -78,12 +78,13 @@ def test_what_others_wrote_is_carried_as_they_wrote_it(tmp_path):
     write_graphml(tmp_path / "a.graphml", one_room())
     graph = networkx.read_graphml(tmp_path / "a.graphml", node_type=int)
     graph.nodes[0].update(label="a", modularity=float("nan"), note="{curly", size=3.0, r=1)
+    graph.nodes[0]["deep"] = "[" * 10_000
     networkx.write_graphml(
         networkx.relabel_nodes(graph, {0: "n0", 1: "01"}), tmp_path / "a.graphml"
     )
     read = read_graphml(tmp_path / "a.graphml")
     assert_same_graph(read.graph, one_room())
-    foreign = {"modularity": "nan", "note": "{curly", "size": 3.0, "r": 1}
+    foreign = {"modularity": "nan", "note": "{curly", "size": 3.0, "r": 1, "deep": "[" * 10_000}
     assert read.attributes == [{"id": "n0", **foreign}, {"id": "01"}, {"id": 2}, {"id": 3}]
     assert read.edge_confidence is None
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.io.json import graph_from_dict, graph_to_dict
+from sg3d_jax.io.json import graph_from_dict, graph_to_dict, read_dict
 from sg3d_jax.scene.graph import make_graph, undirected_edges
 from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.validate import validate_graph
@@ -68,6 +68,21 @@ def test_ids_may_be_any_integers_or_names():
     for key in ("edges", "proximity_edges"):
         document[key] = [[names[u], names[v]] for u, v in document[key]]
     assert_same_graph(graph_from_dict(document), one_room())
+
+
+def test_how_sure_edges_are_stands_beside_them():
+    document = graph_to_dict(one_room(), edge_confidence=np.array([0.5, 1, 0.25]), seed=3)
+    assert [*document] == ["nodes", "edges", "proximity_edges", "edge_confidence", "seed"]
+    assert document["edges"] == [[0, 1], [2, 1], [1, 3]]
+    assert document["edge_confidence"] == [0.5, 1, 0.25]
+    document["edges"] = document["edges"][::-1]
+    assert read_dict(document).edge_confidence.tolist() == [0.25, 1, 0.5]
+
+
+@pytest.mark.parametrize("said", [None, 3, [0.5, 0.5], [0.5] * 4, [0.5, 0.5, "high"], [2, 0, 0]])
+def test_what_is_no_confidence_of_its_edges_is_let_through(said):
+    document = graph_to_dict(one_room()) | {"edge_confidence": said}
+    assert read_dict(document).edge_confidence is None
 
 
 def test_a_graph_that_breaks_the_hierarchy_can_be_read():

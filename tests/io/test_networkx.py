@@ -130,7 +130,7 @@ def test_networkx_carries_attributes_through_its_documents():
 
 def test_what_others_say_of_nodes_is_read_as_json_and_our_own_names_are_left_out():
     graph = authors_graph()
-    graph.nodes[7].update(label="north", seen=np.float32(0.5), cloud=np.eye(2))
+    graph.nodes[7].update(id="n7", label="north", seen=np.float32(0.5), cloud=np.eye(2))
     read = read_networkx(networkx.relabel_nodes(graph, {9: (4, 2)}))
     assert read.attributes == [
         {"id": 7, "y": 3, "seen": 0.5, "cloud": [[1, 0], [0, 1]]},
@@ -160,6 +160,8 @@ def test_attributes_that_networkx_could_not_tell_from_ours_are_refused():
     ):
         with pytest.raises(ValueError, match=sentence):
             to_networkx(one_room(), [*held, {}, {}, {}])
+    with pytest.raises(ValueError, match=r"graph: edge_confidence\[1\] is 2\.0, expected 0 to 1"):
+        to_networkx(one_room(), edge_confidence=np.array([1.0, 2, 1, 1, 1]))
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,14 @@ def test_metadata_say_what_else_is_known_and_how_sure_it_is(walls):
     npt.assert_array_equal(read.edge_confidence, SURE)
 
 
+def test_in_whatever_order_a_document_lists_nodes_and_edges_the_same_is_read():
+    made = graph_to_spark_dsg(city(), "edges", HELD, SURE)
+    read = read_spark_dsg(made | {key: made[key][::-1] for key in ("nodes", "edges")})
+    assert_same_graph(read.graph, city())
+    assert read.attributes == HELD
+    npt.assert_array_equal(read.edge_confidence, SURE)
+
+
 @pytest.mark.parametrize("said", [None, "high", [0.5, 0.5], [2], ["high"]])
 def test_confidence_of_walls_that_is_none_is_let_through(said):
     made = graph_to_spark_dsg(city(), "metadata", HELD, SURE)

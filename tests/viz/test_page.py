@@ -262,6 +262,7 @@ def test_the_legend_keeps_full_colours_and_says_what_faint_means():
         listed = [t for t in traces if t.get("showlegend", True) and t["type"] != "mesh3d"]
         paint = [(t["name"], t["legendgroup"], t["mode"], t.get("legendrank")) for t in listed]
         colours = [t["line" if t["mode"] == "lines" else "marker"]["color"] for t in listed]
+        assert len(set(paint)) == len(paint)
         return dict(zip(paint, colours, strict=True))
 
     assert list(shown(unsure).items() - shown(plain).items()) == [
