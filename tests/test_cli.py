@@ -129,7 +129,9 @@ def test_one_scene_may_go_to_json_lines(weights):
 
 def test_a_graph_that_did_not_come_to_its_end_is_warned_of(weights, capsys, monkeypatch):
     sure = Confidence(0.0, 0.0, 0.0, None)
-    grown = completing.Completion(small_floors()[0], "CAPACITY", 3, np.arange(4), sure, ())
+    grown = completing.Completion(
+        small_floors()[0], "CAPACITY", 3, np.arange(4), sure, (), np.ones(4, int)
+    )
     monkeypatch.setattr(completing, "complete", lambda *arguments, **options: [[grown]])
     run("complete", write("a.json", SCENES[0]), "-o", "graph.json", "--weights", weights)
     warning = "sg3d: warning: scene 0 sample 0 stopped by CAPACITY, so its graph is incomplete\n"

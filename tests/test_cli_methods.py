@@ -136,22 +136,32 @@ def test_diffusion_steps_are_those_of_every_method_that_diffuses(weights, capsys
     assert sentence in refusal(capsys, *arguments)
 
 
-def test_the_medoid_of_several_candidates_is_kept(folder, scored, monkeypatch):
+def test_what_most_of_several_candidates_have_is_kept(folder, scored, monkeypatch):
     path, chosen = str(untrained(folder, "midi")), []
 
-    def last(candidates):
-        chosen.extend(candidates)
-        return [len(graphs) - 1 for graphs in candidates]
+    def last(candidates, num_given):
+        chosen.append(candidates)
+        return candidates[-1], len(candidates) - 1
 
-    monkeypatch.setattr(completing, "medoids", last)
+    monkeypatch.setattr(completing, "consensus", last)
     run("evaluate", path, "--num-graphs", 1, "--candidates", 2, "-o", "a.json")
     ((_, second),) = chosen
     assert scored[0][0] is second
     with open("a.json") as file:
-        assert json.load(file)["candidates"] == 2
+        result = json.load(file)
+    assert result["candidates"] == 2
+    for name in ("calibration error nodes", "calibration error edges"):
+        assert 0 <= result["scores"][name]["mean"] <= 1
     write("planes.json", SCENES[0])
     run("complete", "planes.json", "-o", "b.jsonl", "--weights", path, "--candidates", 2)
-    assert [observed(document) for document in documents("b.jsonl")] == SCENES[:1]
+    (document,) = documents("b.jsonl")
+    assert observed(document) == SCENES[0]
+
+
+def test_one_candidate_says_nothing_of_calibration(folder, scored):
+    run("evaluate", str(untrained(folder, "midi")), "--num-graphs", 1, "-o", "a.json")
+    with open("a.json") as file:
+        assert not [name for name in json.load(file)["scores"] if "calibration" in name]
 
 
 def test_candidates_are_refused_where_there_are_none(folder, capsys):

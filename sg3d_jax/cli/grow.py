@@ -44,9 +44,9 @@ def complete(
       planes: JSON, JSON Lines (a scene a line) or CSV, or graphs whose planes are taken; metres.
         Ids and further keys of JSON and CSV are carried to the result.
       output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
-      picture: also draw the first graph, as PNG, PDF or SVG.
+      picture: also draw the first graph, as PNG, PDF or SVG; fainter where it is unsure.
       samples: graphs a scene.
-      candidates: graphs to draw for each of them; the one in the middle, under FGW, is kept.
+      candidates: graphs to draw for each of them; what most of them have is kept.
       seed: another seed draws other samples.
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
@@ -57,7 +57,7 @@ def complete(
       code: Python files to run first, which register the methods of your own weights.
     """
     from sg3d_jax.infer.complete import complete as complete_scenes
-    from sg3d_jax.io.attributes import check_attributes
+    from sg3d_jax.io.attributes import check_attributes, with_confidence
     from sg3d_jax.io.formats import check_writable, read_with_attributes, write_graphs
     from sg3d_jax.viz.figure import save_picture
 
@@ -107,13 +107,20 @@ def complete(
         }
         for completion, held, place in made
     ]
-    graphs, attributes = [one.graph for one, _, _ in made], [held for _, held, _ in made]
-    write_graphs(output, graphs, extras=extras, attributes=attributes)
+    graphs = [completion.graph for completion, _, _ in made]
+    write_graphs(
+        output,
+        graphs,
+        extras=extras,
+        attributes=[with_confidence(held, one.node_confidence) for one, held, _ in made],
+        edge_confidence=[one.edge_confidence for one, _, _ in made],
+    )
     _say_what_was_grown(output, graphs, extras)
     for name, of_scene in zip(names, grown, strict=True):
         _say_remarks(name, [completion.remarks for completion in of_scene])
     if picture is not None:
-        save_picture(graphs[0], picture)
+        first, _, _ = made[0]
+        save_picture(first.graph, picture, None, first.node_confidence, first.edge_confidence)
         print(f"{picture}: picture of scene 0 sample 0")
 
 

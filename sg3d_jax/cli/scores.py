@@ -50,7 +50,8 @@ def evaluate(
       seeds: of the samples; several give mean and standard deviation.
       num_graphs: only the first so many scenes of the split.
       diffusion_steps: sampling steps of the topology.
-      candidates: graphs to draw of each scene; the one in the middle of them, under FGW, is kept.
+      candidates: graphs to draw of each scene; what most of them have is kept, and how sure each
+        node and edge is shows in the calibration errors.
       output: also write everything as JSON, for `sg3d table`.
       row: also write the scores as a CSV file of one row.
       sheet: also draw the worst scenes of the first seed, the truth above what was made.
@@ -76,7 +77,12 @@ def evaluate(
         made.append(chosen.complete(scenes, seed))
         seconds.append(round(time.monotonic() - began, 2))
     runs: list[dict[str, Any]] = [
-        {**score(result.graphs, truth), "halted": result.halted} for result in made
+        {
+            **score(result.graphs, truth, pieces=result.pieces),
+            "halted": result.halted,
+            **_calibration_errors(result, truth),
+        }
+        for result in made
     ]
     about = {
         "method": chosen.name,
@@ -172,6 +178,16 @@ def sheet(
     rows = [(TITLES.get(m.name, m.name), m.complete(scenes, seed).graphs) for m in chosen]
     contact_sheet([*rows, ("truth", scenes)], output)
     print(f"{output}: {counted(len(chosen), 'method')} on {counted(len(scenes), 'scene')}")
+
+
+def _calibration_errors(result: Any, truth: list) -> dict[str, float]:
+    """Returns how far confidence in nodes and in edges is from what is right, if there is any."""
+    from sg3d_jax.metrics.calibration import calibration
+
+    if result.confidence is None:
+        return {}
+    compared = calibration(result.graphs, truth, *zip(*result.confidence, strict=True))
+    return {f"calibration_error_{name}": of.error for name, of in compared.items()}
 
 
 def _result(path: Path) -> dict[str, Any]:

@@ -151,7 +151,7 @@ def draw_continuations(
 def keep_nodes(graph: SceneGraph, keep: Bool[Array, " N"]) -> SceneGraph:
     """Masks out the other nodes and every edge that touches them."""
     kept_edges = graph.edges.mask & keep[graph.senders] & keep[graph.receivers]
-    return masked(graph, keep, kept_edges)
+    return masked(graph, keep & graph.nodes.mask, kept_edges)
 
 
 def extract_block(

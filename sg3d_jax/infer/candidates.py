@@ -1,17 +1,18 @@
 """A choice among several candidates that needs no truth: the valid one that agrees most.
 
-That one, and not the medoid under FGW: a graph is likely to be right if others have what it has,
-while what others have beside it says less, because what most draws have and one lacks is mended
-afterwards (`consensus`). It also costs no FGW.
+It is what `consensus` begins from, which adds what most others have and this one lacks.
 """
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Final
 
 from sg3d_jax.metrics.calibration import identities
-from sg3d_jax.metrics.oddities import oddities
+from sg3d_jax.metrics.oddities import Oddity, oddities
 from sg3d_jax.metrics.structure import num_forbidden_edges
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
+
+ONE_WHOLE: Final = (Oddity.WITHOUT_WHOLE, Oddity.SEVERAL_WHOLES)
 
 
 def most_agreeing(candidates: Sequence[SceneGraph], num_given: int) -> int:
@@ -40,5 +41,14 @@ def most_agreeing(candidates: Sequence[SceneGraph], num_given: int) -> int:
 
 
 def num_flaws(graph: SceneGraph) -> int:
-    """Counts what is against the ontology, or odd, in a host graph."""
-    return oddities(graph).total() + num_forbidden_edges(graph)
+    """Counts what breaks the rules of the ontology in a host graph.
+
+    Edges that it forbids, and grown nodes of none or several wholes where one is due. What is
+    observed may belong to nothing (clutter), and what was cut to several (its pieces).
+    """
+    observed = {one.name for one in ontology_of(graph).concepts if one.observed}
+    return num_forbidden_edges(graph) + sum(
+        count
+        for odd, count in oddities(graph).items()
+        if odd.kind in ONE_WHOLE and odd.concept not in observed
+    )

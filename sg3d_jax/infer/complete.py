@@ -8,8 +8,8 @@ import numpy as np
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, HALT_REASONS
 from sg3d_jax.flagg.step import Flagg
-from sg3d_jax.infer.candidates import medoids
-from sg3d_jax.infer.confidence import Confidence, judged
+from sg3d_jax.infer.confidence import Confidence, judged, sure_of
+from sg3d_jax.infer.consensus import consensus
 from sg3d_jax.infer.lanes import Finished, Model, complete_lanes
 from sg3d_jax.infer.prepare import Scene, finished, prepare
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
@@ -26,6 +26,10 @@ class Completion(NamedTuple):
     source: np.ndarray  # int[k], row in the scene of each node that was given
     confidence: Confidence  # how sure it is; HALTED says nothing about it
     remarks: tuple[str, ...]  # what was mended, is not plausible, or unsure; one sentence each
+    pieces: np.ndarray  # int[observed], into how many each was cut; a piece may have its own room
+    # How likely each is right, 0 to 1; what was given has 1. None if one graph was drawn.
+    node_confidence: np.ndarray | None = None  # float64[n]
+    edge_confidence: np.ndarray | None = None  # float64[e], of the rows of `parts_first(graph)`
 
     @property
     def num_given(self) -> int:
@@ -84,7 +88,7 @@ def complete(
         observed nodes are taken; MiDi+Or also counts the others.
       seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
       samples: graphs a scene.
-      candidates: graphs that are drawn for each of them; their medoid under FGW is kept.
+      candidates: graphs that are drawn for each of them; what most of them have is kept.
       keep: take all nodes and part-of edges of a scene as given, such as rooms that are known, and
         grow on from there.
       lanes: scenes grown together in one call; None for as many as suit. Results do not depend on
@@ -118,10 +122,10 @@ def complete(
     prepared = prepare(scenes, model.ontology, keep, names, normals, cut)
     numbers = seed, samples * candidates, max_steps, lanes
     drawn = complete_lanes(model, params, prepared, *numbers, outgrow)
-    completions = [
-        _completions(scene, results) for scene, results in zip(prepared, drawn, strict=True)
+    return [
+        _completions(scene, results, candidates)
+        for scene, results in zip(prepared, drawn, strict=True)
     ]
-    return completions if candidates == 1 else _chosen(completions, candidates)
 
 
 def share_halted(completions: Sequence[Completion]) -> float | None:
@@ -130,10 +134,17 @@ def share_halted(completions: Sequence[Completion]) -> float | None:
     return None if "ONE_SHOT" in reasons else reasons.count("HALTED") / len(reasons)
 
 
-def _completions(scene: Scene, results: Sequence[Finished]) -> list[Completion]:
-    """Returns what was drawn of one scene, each compared with the others."""
-    graphs = [finished(scene, result.graph) for result in results]
-    sure = judged(graphs, len(scene.source))
+def _completions(scene: Scene, results: Sequence[Finished], candidates: int) -> list[Completion]:
+    """Returns what is kept of all that was drawn of one scene, and how sure it is."""
+    drawn, num_given = [finished(scene, result.graph) for result in results], len(scene.source)
+    kept = []
+    for start in range(0, len(drawn), candidates):
+        graph, index = consensus(drawn[start : start + candidates], num_given)
+        kept.append((graph, results[start + index]))
+    graphs = [graph for graph, _ in kept]
+    judgements = judged(graphs, drawn, num_given)
+    # One draw alone tells nothing of its nodes and edges.
+    sure = sure_of(graphs, drawn, num_given) if len(drawn) > 1 else [(None, None)] * len(graphs)
     return [
         Completion(
             graph,
@@ -142,18 +153,10 @@ def _completions(scene: Scene, results: Sequence[Finished]) -> list[Completion]:
             scene.source,
             confidence,
             (*scene.remarks, *doubts),
+            scene.num_pieces,
+            *of_parts,
         )
-        for graph, result, (confidence, doubts) in zip(graphs, results, sure, strict=True)
+        for (graph, result), (confidence, doubts), of_parts in zip(
+            kept, judgements, sure, strict=True
+        )
     ]
-
-
-def _chosen(completions: list[list[Completion]], candidates: int) -> list[list[Completion]]:
-    """Keeps the medoid of each so many samples."""
-    groups = [
-        of_scene[start : start + candidates]
-        for of_scene in completions
-        for start in range(0, len(of_scene), candidates)
-    ]
-    medoid = medoids([[one.graph for one in group] for group in groups])
-    kept = iter([group[index] for group, index in zip(groups, medoid, strict=True)])
-    return [[next(kept) for _ in range(len(one) // candidates)] for one in completions]

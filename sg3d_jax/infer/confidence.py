@@ -1,15 +1,18 @@
 """How sure a completed graph is: what in it is unlike any complete graph, and what samples share.
 
 No truth is needed. A graph that the model found complete may still be wrong all over; then much of
-what is observed has no place in it, or the next sample is another one.
+what is observed has no place in it, or the next sample is another one. Nodes and edges have a
+confidence of their own: how likely they are right, told by how many of the graphs that were drawn
+of the scene have them (`benchmarks/calibration.py` says how well).
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from sg3d_jax.metrics.calibration import edge_identities, identities
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
 from sg3d_jax.scene.ontology import Ontology
 
@@ -23,6 +26,12 @@ MOST_UNPLACED: Final = 0.05
 MOST_LOOSE: Final = 0.0
 MOST_THIN: Final = 0.05
 LEAST_AGREEMENT: Final = 0.8
+
+# What k of K draws have is right with odds of ((k + PRIOR) / (K - k + PRIOR)) ** SHARPNESS: more
+# often than k in K if most have it, more seldom if few have. Fitted on validation splits alone, to
+# draws of midi-general on S-F, P-F and S-F@robot (`benchmarks/calibration.py --fit`).
+PRIOR: Final = 0.4
+SHARPNESS: Final = 2.4
 
 
 class Confidence(NamedTuple):
@@ -44,15 +53,16 @@ class _Doubt(NamedTuple):
 
 
 def judged(
-    graphs: Sequence[SceneGraph], num_given: int
+    graphs: Sequence[SceneGraph], drawn: Sequence[SceneGraph], num_given: int
 ) -> list[tuple[Confidence, tuple[str, ...]]]:
-    """Returns how sure the samples of one scene are, and what to say of it, one sentence each.
+    """Returns how sure some graphs of one scene are, and what to say of it, one sentence each.
 
     Args:
-      graphs: host graphs that were completed of one scene.
+      graphs: host graphs that were completed of the scene.
+      drawn: all that were drawn of it; `graphs` are some of them, or made of them.
       num_given: how many of their first nodes were given.
     """
-    agreement = _agreement(graphs, num_given)
+    agreement = _agreement(graphs, drawn, num_given)
     results = []
     for graph, shared in zip(graphs, agreement, strict=True):
         doubts = list(_doubts(graph))
@@ -61,6 +71,40 @@ def judged(
         )
         results.append((confidence, tuple(_remarks(confidence, doubts))))
     return results
+
+
+def sure_of(
+    graphs: Sequence[SceneGraph], drawn: Sequence[SceneGraph], num_given: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Returns how likely the nodes and the part-of edges of graphs of one scene are right.
+
+    A node is right if the truth has one of its concept over the same observed nodes; see
+    `metrics.calibration`.
+
+    Args:
+      graphs: host graphs that were completed of the scene.
+      drawn: all that were drawn of it, at least two.
+      num_given: how many of their first nodes were given: they, and edges between them, have 1.
+
+    Returns:
+      Of each graph float[n], and float[e] in the order of `parts_first`.
+    """
+    nodes = Counter(one for graph in drawn for one in identities(graph))
+    edges = Counter(one for graph in drawn for one in edge_identities(graph))
+    results = []
+    for graph in graphs:
+        of_nodes = _likely([nodes[one] for one in identities(graph)], len(drawn))
+        of_edges = _likely([edges[one] for one in edge_identities(graph)], len(drawn))
+        of_nodes[:num_given] = 1.0
+        of_edges[(parts_first(graph) < num_given).all(axis=1)] = 1.0
+        results.append((of_nodes, of_edges))
+    return results
+
+
+def _likely(holders: Sequence[int], num_drawn: int) -> np.ndarray:
+    """Returns how likely is right what so many of the draws have."""
+    count = np.asarray(holders, np.float64)
+    return 1 / (1 + ((num_drawn - count + PRIOR) / (count + PRIOR)) ** SHARPNESS)
 
 
 def _share(doubts: Sequence[_Doubt], field: str) -> float:
@@ -138,31 +182,24 @@ def _plural(ontology: Ontology, kind: int) -> str:
     return ontology.concepts[kind].layer.lower()
 
 
-def _agreement(graphs: Sequence[SceneGraph], num_given: int) -> list[float | None]:
-    """Returns the share of grown nodes that other samples have over the same observed nodes.
+def _agreement(
+    graphs: Sequence[SceneGraph], drawn: Sequence[SceneGraph], num_given: int
+) -> list[float | None]:
+    """Returns the share of grown nodes that other draws have over the same observed nodes.
 
-    Of two samples it is twice what they share over what both have.
+    Of two graphs it is twice what they share over what both have.
     """
-    if len(graphs) < 2:
+    if len(drawn) < 2:
         return [None] * len(graphs)
-    grown = [_grown(graph, num_given) for graph in graphs]
-    shares = np.array([[_shared(one, other) for other in grown] for one in grown])
-    return [float(mean) for mean in (shares.sum(axis=1) - 1) / (len(graphs) - 1)]
+    known = [{*identities(graph)[num_given:]} for graph in drawn]
+    results = []
+    for graph in graphs:
+        one = {*identities(graph)[num_given:]}
+        others = [held for other, held in zip(drawn, known, strict=True) if other is not graph]
+        results.append(float(np.mean([_shared(one, other) for other in others])))
+    return results
 
 
-def _shared(one: Counter, other: Counter) -> float:
-    total = one.total() + other.total()
-    return 2 * (one & other).total() / total if total else 1.0
-
-
-def _grown(graph: SceneGraph, num_given: int) -> Counter[tuple[int, bytes]]:
-    """Counts grown nodes by concept and by what is observed below them."""
-    label, observed = np.asarray(graph.nodes.label), np.flatnonzero(graph.nodes.observed)
-    below = np.zeros((len(label), len(observed)), bool)
-    below[observed, np.arange(len(observed))] = True
-    pairs = parts_first(graph)
-    for kind in np.unique(label[pairs[:, 1]]):
-        part, whole = pairs[label[pairs[:, 1]] == kind].T
-        np.logical_or.at(below, whole, below[part])
-    rows = range(num_given, len(label))
-    return Counter((int(label[row]), below[row].tobytes()) for row in rows)
+def _shared(one: Set, other: Set) -> float:
+    total = len(one) + len(other)
+    return 2 * len(one & other) / total if total else 1.0

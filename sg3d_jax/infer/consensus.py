@@ -4,14 +4,16 @@ Candidates seldom go wrong in the same place, and in a large scene nearly each g
 So the wholes of every concept are put to the vote bottom-up, over parts that are chosen already. A
 candidate's whole holds a given part by its edge, and a chosen one if more than half of what is
 observed below that is below the whole: a candidate that has another room there still says which
-floor it is on. Where two candidates differ, the wholes that overlap must be taken together, or a
-part would have two wholes, or none: those of one side replace those of the other if more candidates
-have just these.
+floor it is on. Where two candidates differ, wholes that overlap are taken or left together, or a
+part would have two wholes, or none.
+
+Nothing is matched by FGW plans: what is observed is the same in all candidates and says which nodes
+stand for the same. Votes over nodes that plans match were tried, and are no better and far slower.
 
 Source: Margush and McMorris, "Consensus n-trees", Bulletin of Mathematical Biology 43, 1981: what
 most trees have fits together.
-Differs: where no majority is, what most candidates have stays if it fits; wholes are compared over
-the parts chosen below, so that one room does not cost the votes for its floor.
+Differs: where there is no majority, a part gets a whole nonetheless; wholes are compared over the
+parts chosen below, so that one room does not cost the votes for its floor.
 """
 
 from collections import Counter
@@ -24,7 +26,6 @@ import numpy as np
 from sg3d_jax.infer.candidates import most_agreeing, num_flaws
 from sg3d_jax.metrics.calibration import observed_below
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first, subgraph
-from sg3d_jax.scene.ontology import Ontology
 
 
 class Version(NamedTuple):
@@ -46,6 +47,7 @@ class _Candidate(NamedTuple):
 class _Draft(NamedTuple):
     """What is chosen so far: the given nodes, and others behind them."""
 
+    num_given: int
     label: list[int]  # of each node
     below: list[np.ndarray]  # bool[o], of each node
     position: list[np.ndarray]  # float64[3], of each node that was not given, metres
@@ -61,37 +63,39 @@ def consensus(candidates: Sequence[SceneGraph], num_given: int) -> tuple[SceneGr
 
     Returns:
       The graph, its given nodes as they were, and the index of the candidate that it started from,
-      the valid one that agrees most. That one itself if the graph breaks more rules than it, or if
-      concepts grow that have no parts: they cannot be told from one another.
+      the valid one that agrees most. That one itself if it is the only one, if the graph breaks
+      more rules than it, or if concepts grow that have no parts: what has none is known by nothing.
 
     Raises:
       ValueError: there are no candidates.
     """
     start = most_agreeing(candidates, num_given)
-    ontology = ontology_of(candidates[start])
-    if not (ontology.is_observed | ontology.may_be_part.any(axis=0)).all():
-        return candidates[start], start
+    best = candidates[start]
+    has_parts = ontology_of(best).may_be_part.any(axis=0)
+    if len(candidates) == 1 or not (ontology_of(best).is_observed | has_parts).all():
+        return best, start
     graph = _assembled(candidates, num_given, start)
-    return (
-        candidates[start] if num_flaws(graph) > num_flaws(candidates[start]) else graph
-    ), start
+    return best if num_flaws(graph) > num_flaws(best) else graph, start
 
 
 def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> SceneGraph:
     """Returns the graph of the wholes that are elected, concept by concept."""
     given, ontology = subgraph(graphs[start], np.arange(num_given)), ontology_of(graphs[start])
     candidates = [_read(graph, num_given) for graph in graphs]
-    draft = _Draft(given.nodes.label.tolist(), [*observed_below(given)], [], [])
+    draft = _Draft(num_given, given.nodes.label.tolist(), [*observed_below(given)], [], [])
     for concept in np.flatnonzero(ontology.may_be_part.any(axis=0)).tolist():
-        ballots = [_ballot(one, draft, concept, num_given, ontology) for one in candidates]
+        parts = np.flatnonzero(ontology.may_be_part[draft.label, concept])
+        if not len(parts):
+            continue
+        ballots = [_ballot(one, draft, parts, concept) for one in candidates]
         chosen = elected([{*ballot} for ballot in ballots], start)
-        for version in sorted(chosen, key=lambda version: (version.row, sorted(version.parts))):
+        for version in sorted(chosen, key=lambda version: (sorted(version.parts), -version.row)):
             held = [
                 one.position[ballot[version]]
                 for one, ballot in zip(candidates, ballots, strict=True)
                 if version in ballot
             ]
-            _add(draft, version, concept, np.mean(held, axis=0), num_given)
+            draft = _with_whole(draft, version, concept, np.mean(held, axis=0))
     return extended(given, draft.label[num_given:], draft.position, draft.pairs)
 
 
@@ -104,21 +108,25 @@ def _read(graph: SceneGraph, num_given: int) -> _Candidate:
 
 
 def _ballot(
-    candidate: _Candidate, draft: _Draft, concept: int, num_given: int, ontology: Ontology
+    candidate: _Candidate, draft: _Draft, parts: np.ndarray, concept: int
 ) -> Mapping[Version, int]:
-    """Returns the wholes of a concept as a candidate has them, and their rows in it."""
-    parts = np.flatnonzero(ontology.may_be_part[draft.label, concept])
+    """Returns the wholes of a concept as a candidate has them, and their rows in it.
+
+    Args:
+      candidate: one of them.
+      draft: what is chosen so far.
+      parts: int[p], rows in the draft of what may be part of them; at least one.
+      concept: their label.
+    """
     wholes = np.flatnonzero(candidate.label == concept)
-    if not len(parts):
-        return {}
     below = np.stack([draft.below[part] for part in parts]).astype(int)
     holds = 2 * below @ candidate.below[wholes].T > below.sum(axis=1)[:, None]
-    given = parts < num_given
+    given = parts < draft.num_given
     holds[given] = candidate.edge[parts[given]][:, wholes]
     ballot, before = {}, Counter()
     for whole, held in zip(wholes.tolist(), holds.T, strict=True):
         of_whole = frozenset(parts[held].tolist())
-        if whole < num_given:
+        if whole < draft.num_given:
             ballot[Version(whole, of_whole)] = whole
         elif of_whole:
             before[of_whole] += 1
@@ -126,46 +134,47 @@ def _ballot(
     return ballot
 
 
-def _add(
-    draft: _Draft, version: Version, concept: int, position: np.ndarray, num_given: int
-) -> None:
-    """Adds a whole to a draft, or to a given whole its parts."""
-    row, below = version.row, np.any([draft.below[part] for part in version.parts], axis=0)
-    if row < 0:
+def _with_whole(draft: _Draft, version: Version, concept: int, position: np.ndarray) -> _Draft:
+    """Returns a draft with one more whole, or with the parts of a given one."""
+    below = np.any([draft.below[part] for part in version.parts], axis=0)
+    if version.row < 0:
         row = len(draft.label)
-        draft.label.append(concept)
-        draft.below.append(below)
-        draft.position.append(position)
-    elif version.parts:
-        draft.below[row] = draft.below[row] | below
-    draft.pairs.extend((part, row) for part in version.parts if max(part, row) >= num_given)
+        draft = draft._replace(
+            label=[*draft.label, concept],
+            below=[*draft.below, below],
+            position=[*draft.position, position],
+        )
+    else:
+        row, of_all = version.row, [*draft.below]
+        of_all[row] = of_all[row] | below
+        draft = draft._replace(below=of_all)
+    new = [(part, row) for part in sorted(version.parts) if max(part, row) >= draft.num_given]
+    return draft._replace(pairs=[*draft.pairs, *new])
 
 
 def elected(ballots: Sequence[AbstractSet[Version]], start: int) -> AbstractSet[Version]:
-    """Returns the wholes that no other candidate would outvote.
+    """Returns the wholes of one candidate, exchanged until no other's have more votes.
+
+    A part votes in each candidate, for its whole there and against any other. So wholes that a
+    majority has are taken, and where there is no majority those that most of their parts want.
 
     Args:
-      ballots: the wholes of each candidate. In each, those of a concept whose parts have one whole
-        have no part in common.
+      ballots: the wholes of each candidate.
       start: whose wholes stay where votes are equal.
     """
-    chosen = {*ballots[start]}
-    for _ in ballots:  # an exchange may allow another; a few rounds are enough
+    holders = Counter(version for ballot in ballots for version in ballot)
+
+    def votes(versions: AbstractSet[Version]) -> int:
+        return sum((2 * holders[one] - len(ballots)) * len(one.parts) for one in versions)
+
+    chosen, before = {*ballots[start]}, None
+    while chosen != before:  # ends: every exchange adds votes
         before = {*chosen}
         for ballot in ballots:
             for out, into in _exchanges(chosen - ballot, ballot - chosen):
-                if _votes(ballots, into, out) > _votes(ballots, out, into):
+                if votes(into) > votes(out):
                     chosen = (chosen - out) | into
-        if chosen == before:
-            break
     return chosen
-
-
-def _votes(
-    ballots: Sequence[AbstractSet[Version]], wanted: AbstractSet[Version], not_: AbstractSet[Version]
-) -> int:
-    """Counts the candidates that have all of some wholes and none of some others."""
-    return sum(wanted <= ballot and not_.isdisjoint(ballot) for ballot in ballots)
 
 
 def _exchanges(
@@ -176,12 +185,7 @@ def _exchanges(
     while waiting:
         group = [waiting.pop()]
         for one in group:  # which grows
-            near = [other for other in waiting if _overlap(one, other)]
+            near = [other for other in waiting if not one.parts.isdisjoint(other.parts)]
             waiting = [other for other in waiting if other not in near]
             group += near
         yield left & {*group}, right & {*group}
-
-
-def _overlap(one: Version, other: Version) -> bool:
-    same = one.row == other.row >= 0
-    return same or not one.parts.isdisjoint(other.parts)

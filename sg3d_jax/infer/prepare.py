@@ -31,6 +31,14 @@ class Scene(NamedTuple):
     num_missing: int  # nodes that the user's graph has beside what is observed; for an oracle
     remarks: tuple[str, ...]  # what was mended, cut, or is not plausible; one sentence each
 
+    @property
+    def num_pieces(self) -> np.ndarray:
+        """int[observed], into how many pieces each observed node is cut; 1 if it is whole."""
+        observed = np.asarray(self.given.nodes.observed)
+        if self.pieces is None:
+            return np.ones(int(observed.sum()), int)
+        return np.bincount(self.pieces.owner, minlength=len(observed))[observed]
+
 
 def prepare(
     scenes: Any,

@@ -75,16 +75,12 @@ def calibration(
     """
     pairs = list(zip(generated, truth, strict=True))
     grown = [~np.asarray(graph.nodes.observed) for graph in generated]
-    sides = {
-        "nodes": (
-            [sure[new] for sure, new in zip(node_confidence, grown, strict=True)],
-            [correct_nodes(*pair)[new] for pair, new in zip(pairs, grown, strict=True)],
-        ),
-        "edges": (list(edge_confidence), [correct_edges(*pair) for pair in pairs]),
-    }
+    right = [correct_nodes(*pair)[new] for pair, new in zip(pairs, grown, strict=True)]
+    sure = [of_graph[new] for of_graph, new in zip(node_confidence, grown, strict=True)]
+    right_edges = [correct_edges(*pair) for pair in pairs]
     return {
-        name: reliability(*(np.concatenate([np.zeros(0), *part]) for part in both))
-        for name, both in sides.items()
+        "nodes": reliability(np.concatenate(sure), np.concatenate(right)),
+        "edges": reliability(np.concatenate(edge_confidence), np.concatenate(right_edges)),
     }
 
 

@@ -235,6 +235,8 @@ def has_one_whole_each(
             continue
         least, most = np.ones(len(label), int), np.ones(len(label), int)
         usual = _num_wholes(truth, part, whole)[np.asarray(truth.nodes.observed)]
+        if len(usual) != len(observed):
+            usual = np.ones(len(observed), int)  # what was given was mended: others
         least[observed] = np.minimum(usual, 1)
         most[observed] = np.maximum(usual, 1 if pieces is None else pieces)
         count = _num_wholes(generated, part, whole)
@@ -260,7 +262,8 @@ def hangs_together(generated: SceneGraph, truth: SceneGraph) -> bool:
     alone = np.ones(len(truth.nodes.label), bool)
     alone[parts_first(truth).ravel()] = False
     needed = np.ones(len(generated.nodes.label), bool)
-    needed[np.flatnonzero(generated.nodes.observed)] = ~alone[np.asarray(truth.nodes.observed)]
+    observed, usual = np.flatnonzero(generated.nodes.observed), ~alone[truth.nodes.observed]
+    needed[observed] = usual if len(usual) == len(observed) else True
     return len(np.unique(components(generated)[needed])) <= 1
 
 

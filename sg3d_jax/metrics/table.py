@@ -76,7 +76,7 @@ def _row(result: Mapping[str, Any], with_weights: bool, with_graphs: bool) -> Ro
     if with_weights and result.get("weights"):
         title = f"{title} ({result['weights']})"
     if (candidates := result.get("candidates", 1)) > 1:
-        title = f"{title}, medoid of {candidates}"
+        title = f"{title}, consensus of {candidates}"
     if with_graphs:
         title = f"{title}, {result['graphs']} scenes"
     return Row(title, tuple(_cell(result["scores"].get(name)) for name in SCORES))

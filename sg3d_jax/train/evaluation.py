@@ -22,6 +22,9 @@ class Result(NamedTuple):
 
     graphs: list[SceneGraph]  # one a scene
     halted: float | None = None  # share of graphs that a growing method found complete
+    pieces: list[np.ndarray] | None = None  # of each graph, see `score`; None for one each
+    # Of each graph, how likely its nodes and part-of edges are right; None if it was not told.
+    confidence: list[tuple[np.ndarray, np.ndarray]] | None = None
 
 
 class Contender(NamedTuple):
@@ -46,7 +49,7 @@ def load_contender(
         but npz.
       data: a data set by name or a file; None for that of the name or of the weights.
       diffusion_steps: sampling steps of the topology; None for those of the weights.
-      candidates: graphs that trained weights draw of each scene; the medoid of them is kept.
+      candidates: graphs that trained weights draw of each scene; what most have is kept.
 
     Raises:
       ValueError: there is no such method, it needs a data set, it has no diffusion steps, or it
@@ -102,7 +105,14 @@ def _trained(
     def complete_all(scenes: Sequence[SceneGraph], seed: int) -> Result:
         completed = complete(trained.model, trained.params, scenes, seed, candidates=candidates)
         made = [one for one, *_ in completed]
-        return Result([one.graph for one in made], share_halted(made))
+        told = [
+            (one.node_confidence, one.edge_confidence)
+            for one in made
+            if one.node_confidence is not None and one.edge_confidence is not None
+        ]
+        confidence = told if len(told) == len(made) else None
+        pieces = [one.pieces for one in made]
+        return Result([one.graph for one in made], share_halted(made), pieces, confidence)
 
     return Contender(
         name=config.method,

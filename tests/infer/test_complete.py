@@ -197,22 +197,38 @@ def test_a_scene_without_anything_but_planes__is_refused_by_an_oracle():
         complete(ORACLE, params, [SCENE, observed_of(SCENE)])
 
 
-def test_of_several_candidates__the_medoid_is_kept(monkeypatch):
-    chosen = []
+def test_of_several_candidates__what_most_have_is_kept(monkeypatch):
+    asked = []
 
-    def last(groups):
-        chosen.extend(groups)
-        return [len(group) - 1 for group in groups]
+    def last(graphs, num_given):
+        asked.append((len(graphs), num_given))
+        return graphs[-1], len(graphs) - 1
 
-    monkeypatch.setattr(completing, "medoids", last)
+    monkeypatch.setattr(completing, "consensus", last)
     scenes = [first_planes(8), first_planes(5)]
     kept = complete(MODEL, stop_at(11), scenes, samples=2, candidates=3)
     drawn = complete(MODEL, stop_at(11), scenes, samples=6)
-    assert [len(group) for group in chosen] == [3] * 4
+    assert asked[:4] == [(3, 8), (3, 8), (3, 5), (3, 5)]
     for of_kept, of_drawn in zip(kept, drawn, strict=True):
         assert len(of_kept) == 2
-        assert same(of_kept[0], of_drawn[2])
-        assert same(of_kept[1], of_drawn[5])
+        for one, index in zip(of_kept, (2, 5), strict=True):
+            # The stand-in keeps the last of one, too, so that the others are as they were drawn.
+            assert same(one, of_drawn[index])
+            np.testing.assert_array_equal(one.node_confidence, of_drawn[index].node_confidence)
+
+
+def test_nodes_and_edges__are_sure_as_far_as_samples_agree():
+    [[alone]] = complete(MODEL, stop_at(11), [SCENE])
+    assert alone.node_confidence is None
+    assert alone.edge_confidence is None
+    for options in ({"samples": 4}, {"candidates": 4}):
+        for made in complete(MODEL, stop_at(11), [SCENE], **options)[0]:
+            assert made.node_confidence.shape == made.graph.nodes.label.shape
+            assert made.edge_confidence.shape == (len(undirected_edges(made.graph, PART_OF)),)
+            assert (made.node_confidence[:NUM_PLANES] == 1).all()
+            assert (made.node_confidence[NUM_PLANES:] < 1).all()
+            # Every sample has a room of the first two planes.
+            assert made.node_confidence[NUM_PLANES] > 0.9
 
 
 def test_what_was_given_and_grown__is_named_by_concept():

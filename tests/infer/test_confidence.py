@@ -5,10 +5,17 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import registry
-from sg3d_jax.infer.confidence import Confidence, judged
+from sg3d_jax.infer.confidence import PRIOR, SHARPNESS, Confidence, judged, sure_of
 from sg3d_jax.metrics.oddities import Odd, Oddity, oddities
-from sg3d_jax.scene.graph import SceneGraph, features_of, make_graph, subgraph, undirected_edges
+from sg3d_jax.scene.graph import (
+    SceneGraph,
+    make_graph,
+    parts_first,
+    subgraph,
+    undirected_edges,
+)
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PART_OF, PLANE, ROOM, Ontology
+from tests.drawn_rooms import drawn, with_pairs
 from tests.own_world import own_world
 from tests.two_rooms import NUM_PLANES, PART_OF_PAIRS, two_rooms
 
@@ -18,13 +25,16 @@ WEST, EAST, TOP = 9, 10, 11  # both rooms and the floor
 
 def without(graph: SceneGraph, *lost: tuple[int, int]) -> SceneGraph:
     """Returns a graph without some of its part-of edges."""
-    pairs = [pair for pair in undirected_edges(graph, PART_OF).tolist() if tuple(pair) not in lost]
-    nodes = graph.nodes
-    return make_graph(nodes.label, nodes.position, **features_of(graph), part_of=pairs)
+    return with_pairs(graph, lost)
+
+
+def of_all(graphs, num_given):
+    """How sure each of some samples is, none of them being put together of others."""
+    return judged(graphs, graphs, num_given)
 
 
 def alone(graph):
-    [judgement] = judged([graph], NUM_PLANES)
+    [judgement] = of_all([graph], NUM_PLANES)
     return judgement
 
 
@@ -32,8 +42,11 @@ def alone(graph):
 def test_complete_graphs_are_sure(name):
     for graph in registry.make(name, 5):
         num_given = int(graph.nodes.observed.sum())
-        assert judged([graph], num_given) == [(SURE, ())]
-        assert judged([graph, graph], num_given) == [(SURE._replace(agreement=1.0), ())] * 2
+        assert of_all([graph], num_given) == [(SURE, ())]
+        assert (
+            of_all([graph, subgraph(graph, range(len(graph.nodes.label)))], num_given)
+            == [(SURE._replace(agreement=1.0), ())] * 2
+        )
 
 
 def test_complete_graphs_of_other_concepts_are_sure():
@@ -82,7 +95,7 @@ def test_two_tops_are_one_too_many():
     ]
     pairs = [undirected_edges(city, PART_OF) for city in cities]
     both = make_graph(*columns, part_of=np.concatenate([pairs[0], pairs[1] + counts[0]]))
-    [(confidence, remarks)] = judged([both], 0)
+    [(confidence, remarks)] = of_all([both], 0)
     assert 0 < confidence.loose < 0.2
     assert remarks == ("unsure: 1 of 2 cities too many",)
 
@@ -111,7 +124,7 @@ def test_shares_are_those_of_oddities(index):
     pairs = undirected_edges(graph, PART_OF)
     torn = without(graph, *map(tuple, pairs[rng.random(len(pairs)) < 0.2].tolist()))
     found = oddities(torn)
-    [(confidence, _)] = judged([torn], 0)
+    [(confidence, _)] = of_all([torn], 0)
     odd_planes = found[Odd(Oddity.WITHOUT_WHOLE, "plane", "room")]
     odd_rooms = found[Odd(Oddity.WITHOUT_WHOLE, "room", "floor")]
     npt.assert_allclose(confidence.unplaced, odd_planes / np.sum(label == PLANE))
@@ -119,23 +132,10 @@ def test_shares_are_those_of_oddities(index):
     npt.assert_allclose(confidence.loose, odd_rooms / above)
 
 
-def grown(*rooms: tuple[int, ...]) -> SceneGraph:
-    """Returns the planes of two rooms with other rooms over them, and their floor."""
-    label = [PLANE] * NUM_PLANES + [ROOM] * len(rooms) + [FLOOR]
-    first = NUM_PLANES
-    pairs = [(plane, first + i) for i, room in enumerate(rooms) for plane in room]
-    pairs += [(first + i, first + len(rooms)) for i in range(len(rooms))]
-    nodes = two_rooms().nodes
-    position, normal = np.zeros((2, len(label), 3))
-    position[:first], normal[:first] = nodes.position[:first], nodes.normal[:first]
-    width = np.pad(nodes.width[:first], (0, len(label) - first))
-    return make_graph(label, position, normal, width, pairs)
-
-
 def test_agreement_is_what_samples_share():
     west, east = (0, 1, 2, 3), (4, 5, 6, 7)
-    right, wrong, one = grown(west, east), grown(west, (4, 5), (6, 7)), grown(west + east)
-    agreements = [confidence.agreement for confidence, _ in judged([right, wrong, one], NUM_PLANES)]
+    right, wrong, one = drawn(west, east), drawn(west, (4, 5), (6, 7)), drawn(west + east)
+    agreements = [confidence.agreement for confidence, _ in of_all([right, wrong, one], NUM_PLANES)]
     # Right and wrong share a room and the floor, of three and four nodes; the floor alone is shared
     # with the third, of two.
     between = {"right wrong": 4 / 7, "right one": 2 / 5, "wrong one": 2 / 6}
@@ -150,22 +150,73 @@ def test_agreement_is_what_samples_share():
 
 
 def test_agreement_does_not_depend_on_the_order_of_what_was_grown_nor_count_what_was_given():
-    east, west = grown((4, 5, 6, 7), (0, 1, 2, 3)), grown((0, 1, 2, 3), (4, 5, 6, 7))
-    assert [c.agreement for c, _ in judged([east, west], NUM_PLANES)] == [1.0, 1.0]
-    other = grown((0, 1, 2, 3), (4, 5), (6, 7))
+    east, west = drawn((4, 5, 6, 7), (0, 1, 2, 3)), drawn((0, 1, 2, 3), (4, 5, 6, 7))
+    assert [c.agreement for c, _ in of_all([east, west], NUM_PLANES)] == [1.0, 1.0]
+    other = drawn((0, 1, 2, 3), (4, 5), (6, 7))
     kept = NUM_PLANES + 1  # the west room was given
-    npt.assert_allclose([c.agreement for c, _ in judged([west, other], kept)], [2 / 5] * 2)
+    npt.assert_allclose([c.agreement for c, _ in of_all([west, other], kept)], [2 / 5] * 2)
 
 
 def test_repeated_nodes_are_no_agreement():
     room = (0, 1, 2, 3)
-    once, twice = grown(room, (4, 5, 6, 7)), grown(room, room)
-    npt.assert_allclose([c.agreement for c, _ in judged([once, twice], NUM_PLANES)], [2 / 6] * 2)
+    once, twice = drawn(room, (4, 5, 6, 7)), drawn(room, room)
+    npt.assert_allclose([c.agreement for c, _ in of_all([once, twice], NUM_PLANES)], [2 / 6] * 2)
+
+
+def test_what_is_put_together_agrees_with_all_that_was_drawn():
+    right, wrong = drawn((0, 1, 2, 3), (4, 5, 6, 7)), drawn((0, 1, 2), (3, 4, 5, 6, 7))
+    copy = subgraph(right, range(len(right.nodes.label)))
+    [(drawn_one, _), (made, _)] = judged([right, copy], [right, wrong], NUM_PLANES)
+    npt.assert_allclose(drawn_one.agreement, 1 / 3)
+    npt.assert_allclose(made.agreement, (1 + 1 / 3) / 2)
+
+
+def likely(count, of_all):
+    return 1 / (1 + ((of_all - count + PRIOR) / (count + PRIOR)) ** SHARPNESS)
+
+
+def test_nodes_and_edges_are_as_sure_as_many_draws_have_them():
+    west, east = (0, 1, 2, 3), (4, 5, 6, 7)
+    draws = [drawn(west, east), drawn(east, west), drawn(west, (4, 5), (6, 7)), drawn(west + east)]
+    [(nodes, edges), *_] = sure_of(draws[:1], draws, NUM_PLANES)
+    npt.assert_array_equal(nodes[:NUM_PLANES], 1.0)
+    # The west room is in three, the east room in two; all are of a floor over all planes.
+    npt.assert_allclose(nodes[NUM_PLANES:], [likely(3, 4), likely(2, 4), likely(4, 4)])
+    top = NUM_PLANES + 2
+    expected = {
+        **{(plane, NUM_PLANES): likely(3, 4) for plane in west},
+        **{(plane, NUM_PLANES + 1): likely(2, 4) for plane in east},
+        **{(NUM_PLANES, top): likely(3, 4), (NUM_PLANES + 1, top): likely(2, 4)},
+    }
+    found = dict(zip(map(tuple, parts_first(draws[0]).tolist()), edges, strict=True))
+    assert found == pytest.approx(expected)
+
+
+def test_what_was_given_is_sure_and_so_are_edges_between_it():
+    draws = [drawn((0, 1, 2, 3), (4, 5, 6, 7)), drawn((0, 1, 2, 3), (4, 5, 6))]
+    west, east, top = NUM_PLANES, NUM_PLANES + 1, NUM_PLANES + 2
+    [(nodes, edges), _] = sure_of(draws, draws, NUM_PLANES + 1)
+    assert nodes[west] == 1.0
+    npt.assert_allclose(nodes[[east, top]], likely(1, 2))
+    sure = [tuple(pair) for pair in parts_first(draws[0])[edges == 1.0].tolist()]
+    assert sure == [(plane, west) for plane in range(4)]
+
+
+def test_what_more_draws_have_is_surer_and_never_certain():
+    room = (0, 1, 2, 3)
+    for total in (2, 4, 8):
+        sure = []
+        for count in range(1, total + 1):
+            draws = [drawn(room)] * count + [drawn((4, 5, 6, 7))] * (total - count)
+            [(nodes, _)] = sure_of(draws[:1], draws, NUM_PLANES)
+            sure.append(nodes[NUM_PLANES])
+        assert (np.diff(sure) > 0).all()
+        assert 0 < sure[0] <= 0.5 < sure[-1] < 1
 
 
 def test_samples_that_differ_much_are_said():
-    right, wrong = grown((0, 1, 2, 3), (4, 5, 6, 7)), grown((0, 1, 2), (3, 4, 5), (6, 7))
-    (_, remarks), _ = judged([right, wrong], NUM_PLANES)
+    right, wrong = drawn((0, 1, 2, 3), (4, 5, 6, 7)), drawn((0, 1, 2), (3, 4, 5), (6, 7))
+    (_, remarks), _ = of_all([right, wrong], NUM_PLANES)
     assert remarks == ("unsure: other samples have 29% of what was grown",)
 
 

@@ -141,7 +141,9 @@ def test_a_plane_that_rooms_share_is_cut_and_comes_back_whole():
         npt.assert_array_equal(found, expected)
     npt.assert_array_equal(undirected_edges(back, PART_OF), [[0, 7], [6, 7], [6, 8]])
     npt.assert_allclose(back.nodes.position[7:], scene.centre + rooms)
+    npt.assert_array_equal(scene.num_pieces, [1, 1, 1, 1, 1, 1, 2])
     (scene,) = prepare([given], PAPER_ONTOLOGY, False, cut="never")
+    npt.assert_array_equal(scene.num_pieces, np.ones(7))
     assert scene.remarks == ()
     assert len(scene.centred.nodes.label) == 7
 

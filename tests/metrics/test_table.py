@@ -49,9 +49,9 @@ def test_our_row_of_a_method_is_under_that_of_the_paper_in_its_order():
     assert rows[-1].cells == ("0.500", *["-"] * 6)
 
 
-def test_a_medoid_of_several_candidates_is_told():
+def test_a_consensus_of_several_candidates_is_told():
     rows = [row.method for row in rows_by_data([RESULT | {"candidates": 4}])["s-f"]]
-    assert rows[rows.index("FD4 (paper)") + 1] == "FD4, medoid of 4"
+    assert rows[rows.index("FD4 (paper)") + 1] == "FD4, consensus of 4"
     assert rows_by_data([RESULT | {"candidates": 1}]) == rows_by_data([RESULT])
 
 

@@ -1,0 +1,206 @@
+"""What most candidates have is kept, part by part; what was given stays as it is."""
+
+import itertools
+
+import numpy as np
+import numpy.testing as npt
+import pytest
+
+from sg3d_jax.data import registry
+from sg3d_jax.infer.candidates import num_flaws
+from sg3d_jax.infer.consensus import Version, consensus, elected
+from sg3d_jax.metrics.calibration import identities
+from sg3d_jax.metrics.structure import exact_structure
+from sg3d_jax.scene.graph import make_graph, ontology_of, subgraph, undirected_edges
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL, Ontology, Rule
+from tests.drawn_rooms import drawn, with_pairs
+from tests.own_world import own_world
+from tests.two_rooms import NUM_PLANES, two_rooms
+
+A, B, C, D = (0, 1), (2, 3), (4, 5), (6, 7)
+WALLS = [(1, 4), (3, 6)]
+
+
+def room(*planes, row=-1):
+    return Version(row, frozenset(planes))
+
+
+def test_candidates_that_are_all_wrong_elsewhere_are_right_together():
+    truth = drawn(A, B, C, D, walls=WALLS)
+    wrong = [
+        drawn(A + B, C, D, walls=WALLS),
+        drawn(A, B, C + D, walls=WALLS),
+        drawn(A, B, C, D, walls=[(1, 4, 6)]),
+    ]
+    assert not any(exact_structure(one, truth) for one in wrong)
+    for order in itertools.permutations(wrong):
+        graph, _ = consensus(order, NUM_PLANES)
+        assert exact_structure(graph, truth)
+
+
+def test_what_most_have_is_added_and_what_few_have_is_dropped():
+    few, most = drawn(A, B, walls=[(1, 2)]), drawn(A, B, walls=[(0, 3)])
+    graph, start = consensus([few, most, most, few, drawn(A, B, walls=[(0, 3)])], NUM_PLANES)
+    assert start == 1
+    assert exact_structure(graph, most)
+    bare = drawn(A, B)
+    for graphs in ([bare, bare, most], [most, bare, bare]):
+        assert exact_structure(consensus(graphs, NUM_PLANES)[0], bare)
+
+
+def test_where_votes_are_equal_what_it_began_from_stays():
+    one, other = drawn(A + B, C, D), drawn(A, B, C + D)
+    for graphs in ([one, other], [other, one]):
+        graph, start = consensus(graphs, NUM_PLANES)
+        assert exact_structure(graph, graphs[start])
+
+
+def test_rooms_are_exchanged_together_so_that_no_plane_has_two_or_none():
+    """Three cut the first six planes in three ways, and two of five leave them one room."""
+    thirds = [drawn((0,), (1, 2, 3, 4, 5), D), drawn((0, 1), (2, 3, 4, 5), D)]
+    thirds.append(drawn((0, 1, 2), (3, 4, 5), D))
+    whole = drawn((0, 1, 2, 3, 4, 5), D)
+    for order in itertools.permutations([*thirds, whole, whole]):
+        graph, _ = consensus(order, NUM_PLANES)
+        assert exact_structure(graph, whole)
+
+
+def test_a_candidate_with_another_room_there_still_says_which_floor_it_is_on():
+    """No two have the same rooms on the first floor, but all have two rooms on the second."""
+    rooms = [((0, 1, 2), (3,)), ((0,), (1, 2, 3)), ((0, 1), (2, 3))]
+    graphs = [drawn(*pair, C, D, floors=[(0, 1), (2, 3)]) for pair in rooms]
+    graphs.append(drawn(*rooms[0], C, D, floors=[(0, 1, 2, 3)]))
+    for order in itertools.permutations(graphs):
+        graph, _ = consensus(order, NUM_PLANES)
+        assert exact_structure(graph, graphs[0])
+
+
+def test_nodes_stand_in_the_middle_of_those_that_have_them():
+    graphs = [drawn(A, B, at=1.0), drawn(A, B, at=2.0), drawn(A, (2, 3, 4), at=6.0)]
+    graph, _ = consensus(graphs, NUM_PLANES)
+    npt.assert_allclose(graph.nodes.position[NUM_PLANES:, 0], [3.0, 1.5, 3.0])
+
+
+@pytest.mark.parametrize("name", ["s-f", "s-c"])
+def test_of_equal_candidates_it_is_one_of_them(name):
+    for graph in registry.make(name, 3):
+        observed = int(graph.nodes.observed.sum())
+        made, start = consensus([graph] * 3, observed)
+        assert start == 0
+        assert exact_structure(made, graph)
+        for field, given in zip(made.nodes, graph.nodes, strict=True):
+            npt.assert_array_equal(field[:observed], given[:observed])
+            assert field.dtype == given.dtype
+        place = {one: row for row, one in enumerate(identities(graph))}
+        rows = [place[one] for one in identities(made)]
+        npt.assert_allclose(made.nodes.position, graph.nodes.position[rows])
+
+
+def test_other_concepts_are_put_to_the_vote_too():
+    world = own_world()
+    observed, last = int(world.nodes.observed.sum()), len(world.nodes.label) - 1
+    wrong = [with_pairs(world, lost=[(12, 15)]), with_pairs(world, lost=[(13, 16)])]
+    for order in itertools.permutations([*wrong, subgraph(world, range(last)), world]):
+        graph, _ = consensus(order, observed)
+        assert exact_structure(graph, world)
+        assert ontology_of(graph) == ontology_of(world)
+
+
+def test_repeated_nodes_are_kept_if_most_repeat_them():
+    once, twice = drawn(A, B, walls=[(1, 2)]), drawn(A, B, walls=[(1, 2), (1, 2)])
+    assert exact_structure(consensus([once, twice, twice], NUM_PLANES)[0], twice)
+    assert exact_structure(consensus([twice, once, once], NUM_PLANES)[0], once)
+
+
+def test_nodes_that_were_given_stay_and_get_the_parts_that_most_give_them():
+    """The floor and the first room are given; others are grown below the floor."""
+    label = [PLANE] * NUM_PLANES + [ROOM, FLOOR]
+    given = [(0, 8), (1, 8), (8, 9)]
+
+    def grown(*rooms, walls=()):
+        wholes = [*rooms, *walls]
+        pairs = [*given, *((plane, 10 + i) for i, of in enumerate(wholes) for plane in of)]
+        pairs += [(10 + i, 9) for i in range(len(rooms))]
+        labels = [*label, *[ROOM] * len(rooms), *[WALL] * len(walls)]
+        return make_graph(labels, np.zeros((len(labels), 3)), part_of=pairs)
+
+    right = grown(B, C, D)
+    wrong = [grown(B + C, D), grown(B, C + D), grown(B, C, D, walls=[(1, 4)])]
+    for order in itertools.permutations(wrong):
+        graph, _ = consensus(order, 10)
+        assert graph.nodes.label.tolist() == [*label, ROOM, ROOM, ROOM]
+        assert exact_structure(graph, right)
+        pairs = [*map(tuple, undirected_edges(graph, PART_OF).tolist())]
+        assert len(pairs) == len({*pairs})
+
+
+def test_what_is_given_is_part_of_what_it_has_an_edge_to_and_not_of_all_above():
+    ontology = ontology_of(two_rooms())
+    rules = (*ontology.rules, Rule("plane", "floor", single=False))
+    nodes = drawn(A, B).nodes
+    graph = make_graph(
+        nodes.label,
+        nodes.position,
+        part_of=[*((plane, 8 + plane // 2) for plane in range(4)), (8, 10), (9, 10), (7, 10)],
+        ontology=Ontology(ontology.concepts, rules),
+    )
+    made, _ = consensus([graph] * 3, NUM_PLANES)
+    assert exact_structure(made, graph)
+
+
+def test_edges_against_the_rules_are_not_kept():
+    forbidden = with_pairs(drawn(A, B), new=[(0, NUM_PLANES + 2)])  # a plane of a floor
+    graph, _ = consensus([forbidden] * 3, NUM_PLANES)
+    assert exact_structure(graph, drawn(A, B))
+
+
+def test_what_breaks_more_rules_than_the_best_candidate_is_not_kept():
+    """Most leave a room without a floor, and one does not."""
+    valid = drawn(A, B)
+    loose = with_pairs(drawn(A, B), lost=[(NUM_PLANES + 1, NUM_PLANES + 2)])
+    graph, start = consensus([loose, valid, loose], NUM_PLANES)
+    assert start == 1
+    assert graph is valid
+    assert num_flaws(consensus([loose] * 3, NUM_PLANES)[0]) == 1
+
+
+def test_one_candidate_is_kept_as_it_is():
+    loose = with_pairs(drawn(A, B), new=[(0, NUM_PLANES + 2)])
+    assert consensus([loose], NUM_PLANES) == (loose, 0)
+    with pytest.raises(ValueError, match="no candidates"):
+        consensus([], NUM_PLANES)
+
+
+def test_concepts_that_grow_without_parts_cannot_be_put_to_the_vote():
+    ontology = ontology_of(two_rooms())
+    roofless = Ontology(ontology.concepts, tuple(r for r in ontology.rules if r.whole != "wall"))
+    graph = make_graph([PLANE] * 2 + [WALL], np.zeros((3, 3)), ontology=roofless)
+    assert consensus([graph] * 3, 2) == (graph, 0)
+
+
+def test_a_draw_of_votes_leaves_what_it_began_from():
+    one, other = {room(0, 1), room(2)}, {room(0), room(1, 2)}
+    assert elected([one, other], 0) == one
+    assert elected([one, other], 1) == other
+    assert elected([one, other, other], 0) == other
+
+
+def test_two_small_rooms_count_as_much_as_a_large_one():
+    large, halves = {room(0, 1, 2, 3)}, {room(0, 1), room(2, 3)}
+    ballots = [large, halves, large, halves, {room(0), room(1), room(2), room(3)}]
+    assert elected(ballots, 0) == large
+    assert elected(ballots, 1) == halves
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_wholes_that_are_elected_have_no_part_in_common_and_all_parts_a_whole(seed):
+    rng = np.random.default_rng(seed)
+    base = rng.integers(4, size=12)
+    ballots = []
+    for _ in range(5):
+        of_part = np.where(rng.random(12) < 0.2, rng.integers(4, size=12), base)
+        ballots.append({room(*np.flatnonzero(of_part == k).tolist()) for k in {*of_part.tolist()}})
+    for start in range(5):
+        chosen = elected(ballots, start)
+        parts = [part for version in chosen for part in version.parts]
+        assert sorted(parts) == [*range(12)]
