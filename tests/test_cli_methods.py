@@ -65,7 +65,8 @@ def scored(monkeypatch):
     """Records what is scored, and scores it at once."""
     pairs = []
 
-    def score(made, truth):
+    def score(made, truth, pieces):
+        assert pieces is None or len(pieces) == len(made)
         pairs.extend(zip(made, truth, strict=True))
         tables = {name: {} for name in ("precision", "recall", "failures")}
         return {"fgw": 0.5, "node_count_error": {"absolute": {}}, **tables}
