@@ -42,7 +42,7 @@ def complete(
 
     Args:
       planes: JSON, JSON Lines (a scene a line) or CSV, or graphs whose planes are taken; metres.
-        Ids and further keys of JSON and CSV are carried to the result.
+        Ids and further keys are carried to the result, of any format but npz.
       output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
       picture: also draw the first graph, as PNG, PDF or SVG; fainter where it is unsure.
       samples: graphs a scene.

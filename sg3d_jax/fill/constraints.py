@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, Shaped
 
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 from sg3d_jax.scene.ontology import PART_OF, Ontology
@@ -44,10 +44,8 @@ class Rules(NamedTuple):
 
 
 class Order(NamedTuple):
-    """What the ontology says, and the order in which its concepts are inserted; on the host."""
+    """What follows of the order in which concepts are inserted; on the host."""
 
-    single: np.ndarray  # bool[C, C], parts (rows) that have one such whole (columns)
-    top: np.ndarray  # bool[C], concepts that hold all there is: with single parts, in no whole
     after: np.ndarray  # bool[C, C], the concept of a row is inserted after that of a column
     least: np.ndarray  # int[C], parts that a node needs when it is inserted
 
@@ -60,19 +58,14 @@ def order_of(ontology: Ontology, layers: tuple[str, ...] = ()) -> Order:
       ontology: the concepts.
       layers: those that are grown, in the order of their insertion; empty for bottom-up.
     """
-    number = ontology.num_concepts
-    single = np.zeros((number, number), bool)
-    for part, whole in ontology.single_wholes:
-        single[part, whole] = True
-    place = np.arange(number)
+    place = np.arange(ontology.num_concepts)
     if layers:
         place = np.array([layers.index(name) if name in layers else -1 for name in ontology.names])
     place = np.where(ontology.is_observed, -1, place)
     after = place[:, None] > place[None, :]
     earlier = (ontology.may_be_part & after.T).any(axis=0)  # of a column's parts some come first
     least = np.array([concept.least_parts for concept in ontology.concepts]) * earlier
-    top = single.any(axis=0) & ~single.any(axis=1) & ~ontology.is_observed
-    return Order(single, top, after, least)
+    return Order(after, least)
 
 
 def rules_of(
@@ -92,24 +85,23 @@ def rules_of(
       graph: padded.
       num_block: M; where it is more than one, nodes of a block may be parts of each other.
       layers: the concepts in the order of insertion; empty for bottom-up.
-      closing: whether only what gives a loose node its whole may come (see `num_loose`).
+      closing: whether only what gives a loose node its whole may come (see `is_loose`).
       last: whether nothing comes after this block, so that its parts find their wholes in it.
     """
     ontology, mask = ontology_of(graph), graph.nodes.mask
     order, label = order_of(ontology, layers), graph.nodes.label
-    may, single = jnp.asarray(ontology.may_be_part), jnp.asarray(order.single)
+    may, single = jnp.asarray(ontology.may_be_part), jnp.asarray(ontology.has_one_whole)
     taken = wholes_of(graph)
     part = may[label].T & mask[None, :] & ~(single[label].T & taken)
     whole = may[:, label] & mask[None, :]
-    loose = is_loose(graph, taken, layers)
-    mates = num_block - 1 if num_block > 1 else 0
+    loose = is_loose(graph, taken)
     by_mates = jnp.asarray((ontology.may_be_part & ~ontology.is_observed[:, None]).any(axis=0))
-    enough = jnp.sum(part, axis=-1) + mates * by_mates >= jnp.asarray(order.least)
+    enough = jnp.sum(part, axis=-1) + (num_block - 1) * by_mates >= jnp.asarray(order.least)
     there = jnp.zeros(ontology.num_concepts, bool).at[label].max(mask)
-    possible = enough & ~jnp.asarray(ontology.is_observed) & ~(jnp.asarray(order.top) & there)
+    possible = enough & ~jnp.asarray(ontology.is_observed) & ~(jnp.asarray(ontology.is_top) & there)
     closes = jnp.any(part & single[label].T & loose[None, :], axis=-1)
     closes |= jnp.any(whole & _lacks_parts(graph, layers)[None, :], axis=-1)
-    must = jnp.asarray(order.top[None, :] | order.after | last) & single
+    must = jnp.asarray(ontology.is_top[None, :] | order.after | last) & single
     return Rules(
         ontology=ontology,
         label=jnp.where(closing, possible & closes, possible),
@@ -123,24 +115,26 @@ def rules_of(
 
 def wholes_of(graph: SceneGraph) -> Bool[Array, "C N"]:
     """Returns whether each node is part of some node of each concept."""
-    ontology, label = ontology_of(graph), graph.nodes.label
-    part, whole = label[graph.senders], label[graph.receivers]
-    upwards = graph.edges.mask & (graph.edges.relation == PART_OF)
-    upwards &= jnp.asarray(ontology.may_be_part)[part, whole]
-    empty = jnp.zeros((ontology.num_concepts, label.shape[0]), bool)
-    return empty.at[whole, graph.senders].max(upwards)
+    label = graph.nodes.label
+    empty = jnp.zeros((ontology_of(graph).num_concepts, label.shape[0]), bool)
+    return empty.at[label[graph.receivers], graph.senders].max(_upwards(graph))
 
 
-def is_loose(
-    graph: SceneGraph, taken: Bool[Array, "C N"], layers: tuple[str, ...] = ()
-) -> Bool[Array, " N"]:
+def _upwards(graph: SceneGraph) -> Bool[Array, " E"]:
+    """Returns which edges go from a part to its whole."""
+    may, label = jnp.asarray(ontology_of(graph).may_be_part), graph.nodes.label
+    part_of = graph.edges.mask & (graph.edges.relation == PART_OF)
+    return part_of & may[label[graph.senders], label[graph.receivers]]
+
+
+def is_loose(graph: SceneGraph, taken: Bool[Array, "C N"]) -> Bool[Array, " N"]:
     """Returns which grown nodes lack a whole that is due; what holds all there is is one, too.
 
     What is observed is never loose: a model says that it belongs to nothing by leaving it alone.
     """
-    order = order_of(ontology_of(graph), layers)
-    single, label = jnp.asarray(order.single), graph.nodes.label
-    lacks = jnp.any(single[label].T & ~taken, axis=0) | jnp.asarray(order.top)[label]
+    ontology, label = ontology_of(graph), graph.nodes.label
+    single = jnp.asarray(ontology.has_one_whole)
+    lacks = jnp.any(single[label].T & ~taken, axis=0) | jnp.asarray(ontology.is_top)[label]
     return graph.nodes.mask & ~graph.nodes.observed & lacks
 
 
@@ -151,15 +145,13 @@ def _lacks_parts(graph: SceneGraph, layers: tuple[str, ...]) -> Bool[Array, " N"
     waits = (order_of(ontology, layers).least < least) & ontology.may_be_part.any(axis=0)
     if not waits.any():
         return jnp.zeros(label.shape, bool)
-    downwards = graph.edges.mask & (graph.edges.relation == PART_OF)
-    downwards &= jnp.asarray(ontology.may_be_part)[label[graph.senders], label[graph.receivers]]
-    parts = jnp.zeros(label.shape, jnp.int32).at[graph.receivers].add(downwards)
+    parts = jnp.zeros(label.shape, jnp.int32).at[graph.receivers].add(_upwards(graph))
     return graph.nodes.mask & jnp.asarray(waits)[label] & (parts < jnp.asarray(least)[label])
 
 
 def is_whole(graph: SceneGraph, layers: tuple[str, ...] = ()) -> Bool[Array, ""]:
     """Returns whether a graph may end: all that is grown hangs together below one node."""
-    loose = jnp.sum(is_loose(graph, wholes_of(graph), layers))
+    loose = jnp.sum(is_loose(graph, wholes_of(graph)))
     return (loose <= 1) & ~jnp.any(_lacks_parts(graph, layers))
 
 
@@ -217,7 +209,7 @@ def draw_valid(
       leave room for, every one where the block is of one node and any label is possible.
     """
     key_label, key_edges = jax.random.split(key)
-    log_odds = _mirrored(logits_edge[..., 1] - logits_edge[..., 0])
+    log_odds = mirrored(logits_edge[..., 1] - logits_edge[..., 0])
     label, mask = _draw_labels(key_label, rules, logits_label, log_odds, block_mask)
     pairs = _pairs_of(rules, label, mask)
     edges = _draw_edges(key_edges, rules, pairs, log_odds)
@@ -239,7 +231,7 @@ class Pairs(NamedTuple):
 
 def _pairs_of(rules: Rules, label: Int[Array, " M"], mask: Bool[Array, " M"]) -> Pairs:
     may = jnp.asarray(rules.ontology.may_be_part)
-    single = jnp.asarray(order_of(rules.ontology).single)
+    single = jnp.asarray(rules.ontology.has_one_whole)
     inside = may[label][:, label] & mask[:, None] & mask[None, :]
     whole = jnp.concatenate([inside, rules.whole[label] & mask[:, None]], axis=1)
     part = jnp.concatenate([inside.T, rules.part[label] & mask[:, None]], axis=1)
@@ -249,7 +241,7 @@ def _pairs_of(rules: Rules, label: Int[Array, " M"], mask: Bool[Array, " M"]) ->
     return Pairs(label, token, up, down, (whole & ~up) | (part & ~down), part, rival)
 
 
-def _mirrored(pairs: Float[Array, "M tokens"]) -> Float[Array, "M tokens"]:
+def mirrored(pairs: Shaped[Array, "M tokens"]) -> Shaped[Array, "M tokens"]:
     """Mirrors the strict lower triangle of the block itself: one number a pair."""
     num_block = pairs.shape[0]
     lower = jnp.tril(pairs[:, :num_block], -1)
@@ -274,7 +266,7 @@ def _draw_labels(
     weight = jax.nn.log_softmax(logits_label) + no_forbidden
     weight += jnp.where(rules.least > 0, some_part, 0.0)
     label = jax.random.categorical(key, _possible(rules, weight)).astype(jnp.int32)
-    top = jnp.asarray(order_of(rules.ontology).top)[label] & block_mask
+    top = jnp.asarray(rules.ontology.is_top)[label] & block_mask
     return label, block_mask & jnp.any(rules.label) & ~(top & (jnp.cumsum(top) > 1))
 
 
@@ -288,8 +280,8 @@ def _draw_edges(
     """
     num_block = log_odds.shape[0]
     keys = jax.random.split(key, 3)
-    value = log_odds + _mirrored(jax.random.gumbel(keys[0], log_odds.shape))
-    free = pairs.free & (value > _mirrored(jax.random.gumbel(keys[1], log_odds.shape)))
+    value = log_odds + mirrored(jax.random.gumbel(keys[0], log_odds.shape))
+    free = pairs.free & (value > mirrored(jax.random.gumbel(keys[1], log_odds.shape)))
     shape = rules.ontology.num_concepts, log_odds.shape[1]
     none = jax.random.gumbel(keys[2], shape)  # of the part in a column, for each kind of whole
     offered = jnp.where(pairs.up, value, NEVER)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from sg3d_jax.diffusion import categorical
 from sg3d_jax.diffusion.sampler import ancestral_sample
-from sg3d_jax.fill.constraints import Rules, constrained, draw_valid
+from sg3d_jax.fill.constraints import Rules, constrained, draw_valid, mirrored
 from sg3d_jax.fill.protocol import Marginals, Params, Terms, real_pairs
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleTransformer
@@ -27,16 +27,10 @@ class Topology(NamedTuple):
     edges: Array  # int32[M, M + N], 0 or 1, symmetric inside the block
 
 
-def _mirror(square: Array) -> Array:
-    """Mirrors the strict lower triangle: one draw a pair."""
-    lower = jnp.tril(square, -1)
-    return lower + lower.T
-
-
 def _join(square: Array, cross: Array, block_mask: Array, old_mask: Array) -> Array:
     """Joins both parts of the rectangle and clears what is not a real pair."""
     real = block_mask[:, None] & jnp.concatenate([block_mask, old_mask])[None, :]
-    return jnp.concatenate([_mirror(square), cross], axis=1) * real
+    return mirrored(jnp.concatenate([square, cross], axis=1)) * real
 
 
 Logits = tuple[Float[Array, "M C"], Float[Array, "M tokens 2"]]  # of labels and edges

@@ -167,9 +167,7 @@ def _wholes_that_are_due(ontology: Ontology) -> np.ndarray:
 
     Those that it has exactly one of; of a concept that has none such, any that may be.
     """
-    due = np.zeros_like(ontology.may_be_part)
-    for part, whole in ontology.single_wholes:
-        due[part, whole] = True
+    due = ontology.has_one_whole
     any_number = ~due.any(axis=1) & ontology.is_observed
     return due | (any_number[:, None] & ontology.may_be_part)
 

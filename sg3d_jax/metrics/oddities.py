@@ -98,14 +98,19 @@ def oddities(graph: SceneGraph) -> Counter[Odd]:
 def _odd_wholes(graph: SceneGraph) -> Iterator[tuple[Odd, int]]:
     """Counts parts that have none or several of what they should have one of."""
     ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
-    part, whole = parts_first(graph).T
     for low, high in ontology.single_wholes:
         if high <= label.max(initial=-1):
-            of_kind = (label[part] == low) & (label[whole] == high)
-            wholes = np.bincount(part[of_kind], minlength=len(label))[label == low]
+            wholes = num_wholes(graph, low, high)[label == low]
             names = ontology.names[low], ontology.names[high]
             yield Odd(Oddity.WITHOUT_WHOLE, *names), int((wholes == 0).sum())
             yield Odd(Oddity.SEVERAL_WHOLES, *names), int((wholes > 1).sum())
+
+
+def num_wholes(graph: SceneGraph, part: int, whole: int) -> np.ndarray:
+    """Returns int[n], of how many nodes of one concept each node of another is part."""
+    label, (low, high) = np.asarray(graph.nodes.label), parts_first(graph).T
+    chosen = (label[low] == part) & (label[high] == whole)
+    return np.bincount(low[chosen], minlength=len(label))
 
 
 def _odd_parts(graph: SceneGraph) -> Iterator[tuple[Odd, int]]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sg3d_jax.metrics.oddities import components
+from sg3d_jax.metrics.oddities import components, num_wholes
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
 
@@ -79,7 +79,7 @@ def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
     for name in (name for label, name in enumerate(ontology.names) if label not in parts):
         found[f"extra {name}"] += max(0, surplus[name])
         found[f"missing {name}"] += max(0, -surplus[name])
-    found.update(_parent_failures(ontology, made, true))
+    found.update(_parent_failures(generated, truth))
     found["edge against the rules"] += num_forbidden_edges(generated)
     if not found.total() and not exact_structure(generated, truth):
         found["wrong grouping"] = 1
@@ -194,26 +194,20 @@ def _num_overlaps(first: list[ObservedSet], second: list[ObservedSet]) -> int:
     return pairs
 
 
-def _parent_failures(ontology: Ontology, made: Hierarchy, true: Hierarchy) -> Counter[str]:
+def _parent_failures(made: SceneGraph, true: SceneGraph) -> Counter[str]:
     """Counts the parts with no parent where one is due, and those with more than one."""
-    found: Counter[str] = Counter()
+    found, ontology = Counter[str](), ontology_of(true)
     for child, parent in ontology.single_wholes:
         low, high = ontology.names[child], ontology.names[parent]
-        usual, numbers = _num_parents(true, child, parent), _num_parents(made, child, parent)
+        usual, numbers = (
+            num_wholes(graph, child, parent)[np.asarray(graph.nodes.label) == child].tolist()
+            for graph in (true, made)
+        )
         found[f"{low} with more than one {high}"] = sum(n > max([1, *usual]) for n in numbers)
         # A plane without its room shows in the room, which is missing or has wrong planes.
         if not ontology.is_observed[child] and min(usual, default=0) > 0:
             found[f"{low} without {high}"] = numbers.count(0)
     return found
-
-
-def _num_parents(graph: Hierarchy, child: int, parent: int) -> list[int]:
-    """Returns how many parents of one concept each node of another has."""
-    return [
-        sum(graph.label[other] == parent for other in graph.neighbours[node])
-        for node, label in enumerate(graph.label)
-        if label == child
-    ]
 
 
 def has_one_whole_each(
@@ -234,22 +228,15 @@ def has_one_whole_each(
         if whole > label.max(initial=-1):
             continue
         least, most = np.ones(len(label), int), np.ones(len(label), int)
-        usual = _num_wholes(truth, part, whole)[np.asarray(truth.nodes.observed)]
+        usual = num_wholes(truth, part, whole)[np.asarray(truth.nodes.observed)]
         if len(usual) != len(observed):
             usual = np.ones(len(observed), int)  # what was given was mended: others
         least[observed] = np.minimum(usual, 1)
         most[observed] = np.maximum(usual, 1 if pieces is None else pieces)
-        count = _num_wholes(generated, part, whole)
+        count = num_wholes(generated, part, whole)
         if np.any((label == part) & ((count < least) | (count > most))):
             return False
     return True
-
-
-def _num_wholes(graph: SceneGraph, part: int, whole: int) -> np.ndarray:
-    """Returns int[n], of how many nodes of one concept each node of another is part."""
-    label, (low, high) = np.asarray(graph.nodes.label), parts_first(graph).T
-    chosen = (label[low] == part) & (label[high] == whole)
-    return np.bincount(low[chosen], minlength=len(label))
 
 
 def hangs_together(generated: SceneGraph, truth: SceneGraph) -> bool:

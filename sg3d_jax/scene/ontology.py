@@ -158,6 +158,20 @@ class Ontology:
         pairs = [(rule.part, rule.whole) for rule in self.rules if rule.single]
         return tuple((self.label_of(part), self.label_of(whole)) for part, whole in pairs)
 
+    @functools.cached_property
+    def has_one_whole(self) -> np.ndarray:
+        """bool[C, C], whether parts of a row's concept have exactly one whole of a column's."""
+        table = np.zeros((self.num_concepts, self.num_concepts), bool)
+        for part, whole in self.single_wholes:
+            table[part, whole] = True
+        return table
+
+    @functools.cached_property
+    def is_top(self) -> np.ndarray:
+        """bool[C], which concepts hold all there is: wholes of single parts, and in no such."""
+        single = self.has_one_whole
+        return single.any(axis=0) & ~single.any(axis=1) & ~self.is_observed
+
     def has(self, feature: str) -> np.ndarray:
         """Returns bool[C], the concepts whose nodes have a feature."""
         return np.array([feature in concept.features for concept in self.concepts], bool)
