@@ -46,8 +46,8 @@ def measure(weights: str, size: int) -> dict[str, Any]:
     drawn = registry.make(SIZES[size], DRAWN, seed=1)
     graph = min(drawn, key=lambda graph: abs(len(graph.nodes.label) - size))
     before = peak()
-    [[grown]] = complete(trained.model, trained.params, [graph])
-    seconds = _shortest(lambda: complete(trained.model, trained.params, [graph]), 3)
+    [[grown]] = complete(trained.model, trained.params, [graph], candidates=1)
+    seconds = _shortest(lambda: complete(trained.model, trained.params, [graph], candidates=1), 3)
     grown_peak = peak()
 
     config = dataclasses.replace(trained.config, batch=1, steps_per_call=1)

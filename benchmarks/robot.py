@@ -40,7 +40,7 @@ RESULTS = Path(__file__).parent / "results"
 
 
 def completed(trained: Trained, scenes: Sequence[SceneGraph]) -> list[SceneGraph]:
-    """Completes each scene once."""
+    """Completes each scene as `sg3d complete` does."""
     made = complete(trained.model, trained.params, [observed_of(scene) for scene in scenes])
     return [samples[0].graph for samples in made]
 

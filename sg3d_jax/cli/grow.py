@@ -26,7 +26,7 @@ def complete(
     output: Output,
     picture: Path | None = None,
     samples: int = 1,
-    candidates: int = 1,
+    candidates: int | None = None,
     seed: int = 0,
     weights: str = DEFAULT_WEIGHTS,
     diffusion_steps: int | None = None,
@@ -46,7 +46,8 @@ def complete(
       output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
       picture: also draw the first graph, as PNG, PDF or SVG; fainter where it is unsure.
       samples: graphs a scene.
-      candidates: graphs to draw for each of them; what most of them have is kept.
+      candidates: graphs to draw for each of them, fewer once most are alike; what most of them have
+        is kept. By default 8 for one sample, 1 for several.
       seed: another seed draws other samples.
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
@@ -62,7 +63,7 @@ def complete(
     from sg3d_jax.viz.figure import save_picture
 
     check_at_least("--samples", samples, 1)
-    check_at_least("--candidates", candidates, 1)
+    check_at_least("--candidates", 1 if candidates is None else candidates, 1)
     check_at_least("--lanes", 1 if lanes is None else lanes, 1)
     check_at_least("--seed", seed, 0)
     check_output(output, GRAPHS)
@@ -138,10 +139,11 @@ def train(name: Positional[str], overrides: tyro.conf.Suppress[tuple[str, ...]] 
 
     @dataclasses.dataclass(frozen=True)
     class Run:
-        """Train a configuration; a run that was cut short goes on where it was."""
+        """Train a configuration; a run that was cut short, or has more steps now, goes on."""
 
         config: Annotated[Config, tyro.conf.arg(name="")]
         output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]  # the run directory
+        accept_changes: bool = False  # go on with other data or code than the run began with
 
     default = Run(find_config(name), Path("runs") / Path(name).stem)
     chosen = tyro.cli(
@@ -151,7 +153,9 @@ def train(name: Positional[str], overrides: tyro.conf.Suppress[tuple[str, ...]] 
         prog=f"sg3d train {name}",
         config=(tyro.conf.AvoidSubcommands,),  # the method is that of the configuration
     )
-    print(f"{run(chosen.config, chosen.output)}: weights of the best validation FGW")
+    done = run(chosen.config, chosen.output, chosen.accept_changes)
+    best = f"step {done.step}, which has the best validation FGW, {done.fgw:.4f}"
+    print(f"{done.weights}: weights of {best}")
 
 
 def _trained(weights: str, diffusion_steps: int | None) -> Any:

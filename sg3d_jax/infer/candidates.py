@@ -40,6 +40,17 @@ def most_agreeing(candidates: Sequence[SceneGraph], num_given: int) -> int:
     return max(range(len(candidates)), key=lambda index: (valid[index], share[index]))
 
 
+def are_settled(candidates: Sequence[SceneGraph], num_given: int) -> bool:
+    """Returns whether more than half of several candidates are alike, so that no more are needed.
+
+    Args:
+      candidates: host graphs, all over the same given nodes.
+      num_given: how many of their first nodes were given.
+    """
+    held = [frozenset(Counter(identities(graph)[num_given:]).items()) for graph in candidates]
+    return len(held) > 1 and 2 * Counter(held).most_common(1)[0][1] > len(held)
+
+
 def num_flaws(graph: SceneGraph) -> int:
     """Counts what breaks the rules of the ontology in a host graph.
 

@@ -1,19 +1,22 @@
 """The one way in: scene graphs completed from host graphs, by any model."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, HALT_REASONS
 from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.infer.candidates import are_settled
 from sg3d_jax.infer.confidence import Confidence, judged, sure_of
 from sg3d_jax.infer.consensus import consensus
 from sg3d_jax.infer.lanes import Finished, Model, complete_lanes
 from sg3d_jax.infer.prepare import Scene, finished, prepare
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
+CANDIDATES: Final = 8  # at most, of one sample a scene
+ROUND: Final = 2  # candidates that are drawn before it is asked whether they suffice
 INCOMPLETE = ("CAPACITY", "MAX_STEPS")  # halt reasons of graphs that did not come to their end
 
 
@@ -64,13 +67,21 @@ class Completion(NamedTuple):
         }
 
 
+class _Drawn(NamedTuple):
+    """What was drawn of a scene, in the user's frame."""
+
+    graph: SceneGraph
+    halt_reason: int  # index into HALT_REASONS
+    steps: int  # blocks inserted
+
+
 def complete(
     model: Model,
     params: Params,
     scenes: Sequence[SceneGraph],
     seed: int = 0,
     samples: int = 1,
-    candidates: int = 1,
+    candidates: int | None = None,
     keep: bool = False,
     lanes: int | None = None,
     outgrow: bool = True,
@@ -88,7 +99,9 @@ def complete(
         observed nodes are taken; MiDi+Or also counts the others.
       seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
       samples: graphs a scene.
-      candidates: graphs that are drawn for each of them; what most of them have is kept.
+      candidates: graphs that are drawn for each of them at most, and no more once more than half
+        are alike; what most of them have is kept. None for 8 where one sample a scene is asked for,
+        and for 1 where several are.
       keep: take all nodes and part-of edges of a scene as given, such as rooms that are known, and
         grow on from there.
       lanes: scenes grown together in one call; None for as many as suit. Results do not depend on
@@ -111,7 +124,7 @@ def complete(
     """
     for name, value in (
         ("samples", samples),
-        ("candidates", candidates),
+        ("candidates", 1 if candidates is None else candidates),
         ("lanes", 1 if lanes is None else lanes),
     ):
         if value < 1:
@@ -120,12 +133,13 @@ def complete(
         given = model.ontology.observed_plural
         raise ValueError(f"keep: this model completes {given} alone, expected one that grows")
     prepared = prepare(scenes, model.ontology, keep, names, normals, cut)
-    numbers = seed, samples * candidates, max_steps, lanes
-    drawn = complete_lanes(model, params, prepared, *numbers, outgrow)
-    return [
-        _completions(scene, results, candidates)
-        for scene, results in zip(prepared, drawn, strict=True)
-    ]
+    most = (CANDIDATES if samples == 1 else 1) if candidates is None else candidates
+
+    def draw(draws: Sequence[tuple[int, int]]) -> list[Finished]:
+        return complete_lanes(model, params, prepared, draws, seed, max_steps, lanes, outgrow)
+
+    drawn = _drawn(draw, prepared, samples, most)
+    return [_completions(*of_scene) for of_scene in zip(prepared, drawn, strict=True)]
 
 
 def share_halted(completions: Sequence[Completion]) -> float | None:
@@ -134,29 +148,55 @@ def share_halted(completions: Sequence[Completion]) -> float | None:
     return None if "ONE_SHOT" in reasons else reasons.count("HALTED") / len(reasons)
 
 
-def _completions(scene: Scene, results: Sequence[Finished], candidates: int) -> list[Completion]:
+def _drawn(
+    draw: Callable[[Sequence[tuple[int, int]]], list[Finished]],
+    scenes: Sequence[Scene],
+    samples: int,
+    candidates: int,
+) -> list[list[list[_Drawn]]]:
+    """Returns the candidates of every sample of every scene: round by round, as many as it needs.
+
+    What is drawn of a scene does not depend on the others, nor do its rounds.
+    """
+    drawn: list[list[list[_Drawn]]] = [[[] for _ in range(samples)] for _ in scenes]
+    waiting = [(scene, sample) for scene in range(len(scenes)) for sample in range(samples)]
+    for first in range(0, candidates, ROUND):
+        numbers = range(first, min(first + ROUND, candidates))
+        draws = [(place, number) for place in waiting for number in numbers]
+        results = draw([(scene, sample * candidates + n) for (scene, sample), n in draws])
+        for ((scene, sample), _), result in zip(draws, results, strict=True):
+            graph = finished(scenes[scene], result.graph)
+            drawn[scene][sample].append(_Drawn(graph, result.halt_reason, result.steps))
+        waiting = [
+            (scene, sample)
+            for scene, sample in waiting
+            if not are_settled([one.graph for one in drawn[scene][sample]], scenes[scene].num_given)
+        ]
+    return drawn
+
+
+def _completions(scene: Scene, samples: Sequence[Sequence[_Drawn]]) -> list[Completion]:
     """Returns what is kept of all that was drawn of one scene, and how sure it is."""
-    drawn, num_given = [finished(scene, result.graph) for result in results], len(scene.source)
-    kept = []
-    for start in range(0, len(drawn), candidates):
-        graph, index = consensus(drawn[start : start + candidates], num_given)
-        kept.append((graph, results[start + index]))
-    graphs = [graph for graph, _ in kept]
-    judgements = judged(graphs, drawn, num_given)
+    kept: list[_Drawn] = []
+    for candidates in samples:
+        graph, index = consensus([one.graph for one in candidates], scene.num_given)
+        kept.append(candidates[index]._replace(graph=graph))
+    drawn = [one.graph for candidates in samples for one in candidates]
+    graphs = [one.graph for one in kept]
+    judgements = judged(graphs, drawn, scene.num_given)
     # One draw alone tells nothing of its nodes and edges.
-    sure = sure_of(graphs, drawn, num_given) if len(drawn) > 1 else [(None, None)] * len(graphs)
+    several = len(drawn) > 1
+    sure = sure_of(graphs, drawn, scene.num_given) if several else [(None, None)] * len(graphs)
     return [
         Completion(
-            graph,
-            HALT_REASONS[result.halt_reason],
-            result.steps,
+            one.graph,
+            HALT_REASONS[one.halt_reason],
+            one.steps,
             scene.source,
             confidence,
             (*scene.remarks, *doubts),
             scene.num_pieces,
             *of_parts,
         )
-        for (graph, result), (confidence, doubts), of_parts in zip(
-            kept, judgements, sure, strict=True
-        )
+        for one, (confidence, doubts), of_parts in zip(kept, judgements, sure, strict=True)
     ]

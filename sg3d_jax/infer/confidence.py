@@ -93,15 +93,15 @@ def sure_of(
     edges = Counter(one for graph in drawn for one in edge_identities(graph))
     results = []
     for graph in graphs:
-        of_nodes = _likely([nodes[one] for one in identities(graph)], len(drawn))
-        of_edges = _likely([edges[one] for one in edge_identities(graph)], len(drawn))
+        of_nodes = likely([nodes[one] for one in identities(graph)], len(drawn))
+        of_edges = likely([edges[one] for one in edge_identities(graph)], len(drawn))
         of_nodes[:num_given] = 1.0
         of_edges[(parts_first(graph) < num_given).all(axis=1)] = 1.0
         results.append((of_nodes, of_edges))
     return results
 
 
-def _likely(holders: Sequence[int], num_drawn: int) -> np.ndarray:
+def likely(holders: Sequence[int], num_drawn: int) -> np.ndarray:
     """Returns how likely is right what so many of the draws have."""
     count = np.asarray(holders, np.float64)
     return 1 / (1 + ((num_drawn - count + PRIOR) / (count + PRIOR)) ** SHARPNESS)

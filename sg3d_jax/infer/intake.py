@@ -17,7 +17,7 @@ from sg3d_jax.scene.graph import (
     undirected_edges,
 )
 from sg3d_jax.scene.ontology import PART_OF, Ontology
-from sg3d_jax.scene.validate import UNIT_TOLERANCE, check_count
+from sg3d_jax.scene.validate import LEAST_OBSERVED, UNIT_TOLERANCE, check_count
 
 NORMALS: Final = ("check", "as-given")
 MAX_LEAN: Final = 15  # degrees off the vertical; what S-Graphs takes for a wall leans less
@@ -41,7 +41,9 @@ class _Upright(NamedTuple):
     flat: np.ndarray  # bool[n], is too far from horizontal
 
 
-def taken_in(scene: SceneGraph, where: str, normals: str = "check") -> Intake:
+def taken_in(
+    scene: SceneGraph, where: str, normals: str = "check", least: int = LEAST_OBSERVED
+) -> Intake:
     """Mends the observed nodes of a host graph that `check_observed` lets through.
 
     - Planes that lean up to 15 degrees are levelled; those that lean more, such as floors and
@@ -56,12 +58,13 @@ def taken_in(scene: SceneGraph, where: str, normals: str = "check") -> Intake:
       scene: float64, observed nodes or more; metres.
       where: what a refusal starts with, such as "planes.jsonl: scene 3".
       normals: one of `NORMALS`; "as-given" turns none.
+      least: how many observed nodes must be left.
 
     Returns:
       What is left, in its order.
 
     Raises:
-      ValueError: fewer than two observed nodes are left, or there is no such choice of normals.
+      ValueError: fewer observed nodes are left, or there is no such choice of normals.
     """
     if normals not in NORMALS:
         raise ValueError(f"normals is {normals!r:.40}, expected {' or '.join(NORMALS)}")
@@ -83,7 +86,8 @@ def taken_in(scene: SceneGraph, where: str, normals: str = "check") -> Intake:
         if chosen.any()
     ]
     left = nodes.label[rows][nodes.observed[rows]]
-    check_count(left, ontology, where, f", having {' and '.join(remarks)}" if remarks else "")
+    if len(left) < least:
+        check_count(left, ontology, where, f", having {' and '.join(remarks)}" if remarks else "")
     graph = _reduced(mended, rows, first)
     turned, judged = _judged(graph, normals)
     return Intake(turned, rows, (*remarks, *judged))

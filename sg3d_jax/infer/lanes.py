@@ -140,32 +140,33 @@ def complete_lanes(
     model: Model,
     params: Params,
     scenes: Sequence[Scene],
+    draws: Sequence[tuple[int, int]],
     seed: int,
-    samples: int,
     max_steps: int,
     lanes: int | None = None,
     outgrow: bool = True,
-) -> list[list[Finished]]:
+) -> list[Finished]:
     """Completes prepared scenes in batches of one size.
 
     Args:
       model: grows, or completes at once.
       params: its parameters.
       scenes: of `prepare`.
+      draws: what is drawn: the place of a scene in the list, and the number of the sample.
       seed: of `sample_keys`.
-      samples: graphs a scene.
       max_steps: a limit on the number of blocks.
       lanes: scenes grown together; None for `num_lanes`. The results do not depend on it.
       outgrow: whether a graph that does not fit goes on in the next bucket, up to
         `largest_capacity`.
 
     Returns:
-      For every scene, in order, its samples.
+      What was drawn, in the order of `draws`.
     """
     waiting: dict[Capacity, list[Job]] = {}
-    for number, scene in enumerate(scenes):
-        jobs = [Job(number, sample, scene.centred, 0) for sample in range(samples)]
-        waiting.setdefault(_capacity(model, scene), []).extend(jobs)
+    capacities = [_capacity(model, scene) for scene in scenes]
+    for number, sample in draws:
+        job = Job(number, sample, scenes[number].centred, 0)
+        waiting.setdefault(capacities[number], []).append(job)
     finished: dict[tuple[int, int], Finished] = {}
     while waiting:
         capacity = min(waiting)
@@ -188,7 +189,7 @@ def complete_lanes(
                     waiting.setdefault(larger, []).append(later)
                 else:
                     finished[job.scene, job.sample] = result
-    return [[finished[scene, s] for s in range(samples)] for scene in range(len(scenes))]
+    return [finished[draw] for draw in draws]
 
 
 def _capacity(model: Model, scene: Scene) -> Capacity:

@@ -32,6 +32,11 @@ class Scene(NamedTuple):
     remarks: tuple[str, ...]  # what was mended, cut, or is not plausible; one sentence each
 
     @property
+    def num_given(self) -> int:
+        """How many nodes are given."""
+        return len(self.source)
+
+    @property
     def num_pieces(self) -> np.ndarray:
         """int[observed], into how many pieces each observed node is cut; 1 if it is whole."""
         observed = np.asarray(self.given.nodes.observed)

@@ -205,6 +205,7 @@ def test_of_several_candidates__what_most_have_is_kept(monkeypatch):
         return graphs[-1], len(graphs) - 1
 
     monkeypatch.setattr(completing, "consensus", last)
+    monkeypatch.setattr(completing, "ROUND", 3)
     scenes = [first_planes(8), first_planes(5)]
     kept = complete(MODEL, stop_at(11), scenes, samples=2, candidates=3)
     drawn = complete(MODEL, stop_at(11), scenes, samples=6)
@@ -218,7 +219,7 @@ def test_of_several_candidates__what_most_have_is_kept(monkeypatch):
 
 
 def test_nodes_and_edges__are_sure_as_far_as_samples_agree():
-    [[alone]] = complete(MODEL, stop_at(11), [SCENE])
+    [[alone]] = complete(MODEL, stop_at(11), [SCENE], candidates=1)
     assert alone.node_confidence is None
     assert alone.edge_confidence is None
     for options in ({"samples": 4}, {"candidates": 4}):

@@ -36,7 +36,9 @@ def _no_check_of_key_reuse():
 
 def completed(scenes, params, seed=0, samples=1, max_steps=50, **options):
     prepared = prepare(scenes, PAPER_ONTOLOGY, options.pop("keep", False))
-    return complete_lanes(MODEL, params, prepared, seed, samples, max_steps, **options)
+    draws = [(scene, sample) for scene in range(len(scenes)) for sample in range(samples)]
+    drawn = complete_lanes(MODEL, params, prepared, draws, seed, max_steps, **options)
+    return [drawn[first : first + samples] for first in range(0, len(drawn), samples)]
 
 
 def assert_same(one, other):
