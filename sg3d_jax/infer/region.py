@@ -50,6 +50,19 @@ def region_of(
     return Region(rows, is_open | (upper & ~firm))
 
 
+def whole_region(graph: SceneGraph, firm: np.ndarray) -> Region:
+    """Returns the region of a whole map: all but what is firm may be other than it is.
+
+    Args:
+      graph: host graph of a map, observed nodes first.
+      firm: bool[n], nodes that stay whatever comes.
+    """
+    observed = np.asarray(graph.nodes.observed)
+    staying = firm & members_of(graph).any(axis=0)
+    rows = np.concatenate([np.flatnonzero(observed), np.flatnonzero(staying)])
+    return Region(rows, ~observed & ~firm)
+
+
 def members_of(graph: SceneGraph) -> np.ndarray:
     """Returns bool[n, n], which observed node (row) is part of which grown one (column)."""
     members = np.zeros((len(graph.nodes.label),) * 2, bool)

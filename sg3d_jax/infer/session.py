@@ -5,7 +5,8 @@ draw that again, given what stays around it; and takes over what is due (`infer/
 stays bit for bit, and what goes on keeps its id. What moved as one, such as by the closing of a
 loop, takes along what stands above it, and nothing is drawn again.
 
-An update without changes thinks: it draws again where the map is least sure.
+An update without changes thinks: the whole map is drawn again, and what is so drawn twice in a row
+is taken over.
 
 A session is a pytree and an update a pure function: the same changes give the same map, bit for
 bit. The part on the device runs in a few buckets of fixed size, however large the map.
@@ -19,6 +20,7 @@ from typing import Final, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Key
 
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import HALTED, grow_lanes
@@ -26,7 +28,7 @@ from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.confidence import likely
 from sg3d_jax.infer.intake import taken_in
 from sg3d_jax.infer.lanes import root_key
-from sg3d_jax.infer.region import Region, members_of, region_of
+from sg3d_jax.infer.region import Region, region_of, whole_region
 from sg3d_jax.infer.revision import Banned, Map, Tracks, followed, observed_below, revised
 from sg3d_jax.scene.changes import (
     MERGED,
@@ -113,7 +115,7 @@ def update(
         (`FlaggConfig.any_cuts`) suit best.
       params: its parameters.
       session: the map so far.
-      changes: what has changed; nothing to have the least sure part drawn again.
+      changes: what has changed; nothing to have the whole map drawn again.
 
     Returns:
       The map now, and how its graph differs from the one before.
@@ -133,11 +135,12 @@ def update(
     for _, ids in banned[len(banned) - len(changes.forbidden) :]:
         fresh[list(_rows(ids, told.ids, pieces))] = True
     remarks = [remark for remark in intake.remarks if remark not in session.remarks]
-    open_wholes = stirred if fresh.any() or stirred.any() else _least_sure(known)
-    next_id = session.next_id
-    if len(fresh) > 1 and (fresh.any() or open_wholes.any()):
-        region = region_of(known.graph, fresh, open_wholes, known.tracks.firm)
-        drawn = _drawn(model, params, known.graph, region, session.seed, number)
+    next_id, key = session.next_id, jax.random.fold_in(root_key(session.seed), number)
+    if len(pieces.owner) > 1:
+        graph, firm = known.graph, known.tracks.firm
+        is_touched = fresh.any() or stirred.any()
+        region = region_of(graph, fresh, stirred, firm) if is_touched else whole_region(graph, firm)
+        drawn = _drawn(model, params, graph, region, key)
         if drawn is None:
             remarks.append(f"{where}: what was drawn did not come to its end, and was left")
         else:
@@ -396,35 +399,21 @@ def _rows(ids: frozenset[int | str], told: tuple[int | str, ...], pieces: Pieces
     return frozenset(row for row, owner in enumerate(pieces.owner) if told[owner] in ids)
 
 
-def _least_sure(known: Map) -> np.ndarray:
-    """Returns bool[n], the whole of observed nodes that is least sure, if any is not firm."""
-    chosen = np.zeros(len(known.graph.nodes.label), bool)
-    wholes = np.flatnonzero(members_of(known.graph).any(axis=0) & ~known.tracks.firm)
-    if len(wholes):
-        drawn, held = known.tracks.drawn[wholes], known.tracks.held[wholes]
-        order = np.lexsort((known.tracks.born[wholes], drawn, likely(held, drawn)))
-        chosen[wholes[order[0]]] = True
-    return chosen
-
-
 def _drawn(
-    model: Flagg, params: Params, graph: SceneGraph, region: Region, seed: int, number: int
+    model: Flagg, params: Params, graph: SceneGraph, region: Region, key: Key[Array, ""]
 ) -> SceneGraph | None:
     """Returns a region with what a model grows on it; None if it does not come to an end."""
     given = subgraph(graph, region.rows)
-    centre = centre_of_observed(given)
-    given = moved_by(given, -centre)
-    num_given, num_observed = len(region.rows), int(given.nodes.observed.sum())
-    capacity = bucket(max(LEAST, num_given + ROOM, int(1.8 * num_observed) + 8))
-    keys = jax.random.fold_in(root_key(seed), number)[None]
-    steps = jnp.zeros(1, jnp.int32)
-    grown = grow_lanes(model, params, keys, stack([given], capacity), steps, MOST_STEPS, False)
+    centre, num_given = centre_of_observed(given), len(region.rows)
+    capacity = bucket(max(LEAST, num_given + ROOM, int(1.8 * given.nodes.observed.sum()) + 8))
+    graphs, steps = stack([moved_by(given, -centre)], capacity), jnp.zeros(1, jnp.int32)
+    grown = grow_lanes(model, params, key[None], graphs, steps, MOST_STEPS, False)
     if int(grown.halt_reason[0]) != HALTED:
         return None
     drawn = unpad(jax.tree.map(lambda leaf: np.asarray(leaf)[0], grown.graph))
     pairs = parts_first(drawn)
     return extended(
-        subgraph(graph, region.rows),
+        given,
         drawn.nodes.label[num_given:],
         np.asarray(drawn.nodes.position, np.float64)[num_given:] + centre,
         pairs[(pairs >= num_given).any(axis=1)],
