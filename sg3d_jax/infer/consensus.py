@@ -89,13 +89,18 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
             continue
         ballots = [_ballot(one, draft, parts, concept) for one in candidates]
         chosen = elected([{*ballot} for ballot in ballots], start)
+        single = {
+            one for one in parts.tolist() if ontology.has_one_whole[draft.label[one], concept]
+        }
+        joined = adopted(chosen, ballots, single)
         for version in sorted(chosen, key=lambda version: (sorted(version.parts), -version.row)):
             held = [
                 one.position[ballot[version]]
                 for one, ballot in zip(candidates, ballots, strict=True)
                 if version in ballot
             ]
-            draft = _with_whole(draft, version, concept, np.mean(held, axis=0))
+            whole = Version(version.row, version.parts | joined[version])
+            draft = _with_whole(draft, whole, concept, np.mean(held, axis=0))
     return extended(given, draft.label[num_given:], draft.position, draft.pairs)
 
 
@@ -175,6 +180,33 @@ def elected(ballots: Sequence[AbstractSet[Version]], start: int) -> AbstractSet[
                 if votes(into) > votes(out):
                     chosen = (chosen - out) | into
     return chosen
+
+
+def adopted(
+    chosen: AbstractSet[Version], ballots: Sequence[AbstractSet[Version]], single: AbstractSet[int]
+) -> Mapping[Version, AbstractSet[int]]:
+    """Finds a whole for parts that the election left alone though most candidates have them in one.
+
+    That is where candidates agree that a part belongs to something, but not on what: it joins the
+    whole that shares most with those that it has in the candidates.
+
+    Args:
+      chosen: the wholes that are elected.
+      ballots: the wholes of each candidate.
+      single: parts that have exactly one such whole.
+
+    Returns:
+      What joins each of the chosen ones.
+    """
+    joins: dict[Version, set[int]] = {version: set() for version in chosen}
+    for part in sorted(single.difference(*(version.parts for version in chosen))):
+        held = [version.parts for ballot in ballots for version in ballot if part in version.parts]
+        if 2 * len(held) > len(ballots) and chosen:
+            shared = {one: sum(len(one.parts & other) for other in held) for one in chosen}
+            best = max(chosen, key=lambda one: (shared[one], sorted(one.parts), one.row))
+            if shared[best]:
+                joins[best].add(part)
+    return joins
 
 
 def _exchanges(
