@@ -41,7 +41,7 @@ CONFIG = Config(
         contacts=6,
         scene_scale=True,
         noise_levels=1,
-        sampling_steps=32,
+        sampling_steps=8,
     ),
     optimiser=OptimiserConfig(warmup_steps=500),
     steps=30_000,
