@@ -88,11 +88,12 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
         if not len(parts):
             continue
         ballots = [_ballot(one, draft, parts, concept) for one in candidates]
-        chosen = elected([{*ballot} for ballot in ballots], start)
+        wholes = [{*ballot} for ballot in ballots]
+        chosen = elected(wholes, start)
         single = {
             one for one in parts.tolist() if ontology.has_one_whole[draft.label[one], concept]
         }
-        joined = adopted(chosen, ballots, single)
+        joined = adopted(chosen, wholes, single)
         for version in sorted(chosen, key=lambda version: (sorted(version.parts), -version.row)):
             held = [
                 one.position[ballot[version]]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sg3d_jax.infer.candidates import most_agreeing, num_flaws
+from sg3d_jax.infer.candidates import are_settled, most_agreeing, num_flaws
 from sg3d_jax.scene.graph import subgraph
 from tests.drawn_rooms import drawn, with_pairs
 from tests.own_world import own_world
@@ -61,6 +61,19 @@ def test_flaws_are_counted_and_neither_clutter_nor_what_was_cut_is_one():
     assert num_flaws(with_pairs(storeys, new=[(west, top), (east, top - 1)])) == 1
     assert num_flaws(drawn((0, 1, 2), EAST)) == 0  # a plane of no room
     assert num_flaws(with_pairs(RIGHT, new=[(0, east)])) == 0  # a plane of two
+
+
+def test_candidates_are_settled_once_more_than_half_are_alike():
+    other, third = drawn((0, 1, 2), (3, 4, 5, 6, 7)), drawn(WEST, (4, 5), (6, 7))
+    moved = drawn(EAST, WEST, at=2.0)  # the same, in another order and elsewhere
+    for graphs, settled in (
+        ([RIGHT], False),  # one alone tells nothing
+        ([RIGHT, moved], True),
+        ([RIGHT, other], False),
+        ([RIGHT, other, moved, third], False),
+        ([RIGHT, other, moved, RIGHT], True),
+    ):
+        assert are_settled(graphs, NUM_PLANES) == settled
 
 
 def test_a_scene_without_candidates_is_refused():

@@ -218,6 +218,30 @@ def test_of_several_candidates__what_most_have_is_kept(monkeypatch):
             np.testing.assert_array_equal(one.node_confidence, of_drawn[index].node_confidence)
 
 
+def test_no_more_are_drawn_once_most_are_alike(monkeypatch):
+    """By default, of one sample: eight at most. The first scene needs two rounds, the other one."""
+    asked = []
+
+    def settled(graphs, num_given):
+        asked.append((len(graphs), num_given))
+        return len(graphs) >= {8: 4, 5: 2}[num_given]
+
+    monkeypatch.setattr(completing, "are_settled", settled)
+    [[one], [other]] = complete(MODEL, stop_at(11), [first_planes(8), first_planes(5)])
+    assert asked == [(2, 8), (2, 5), (4, 8)]
+    [[alone]] = complete(MODEL, stop_at(11), [first_planes(8)])
+    assert same(one, alone)
+    assert (one.node_confidence[NUM_PLANES:] < 1).all()
+    assert other.node_confidence is not None
+    monkeypatch.setattr(completing, "are_settled", lambda graphs, num_given: False)
+    kept = []
+    monkeypatch.setattr(
+        completing, "consensus", lambda *of_all: kept.append(of_all) or (of_all[0][0], 0)
+    )
+    complete(MODEL, stop_at(11), [first_planes(8)])
+    assert len(kept[0][0]) == 8
+
+
 def test_nodes_and_edges__are_sure_as_far_as_samples_agree():
     [[alone]] = complete(MODEL, stop_at(11), [SCENE], candidates=1)
     assert alone.node_confidence is None

@@ -55,6 +55,22 @@ def test_where_votes_are_equal_what_it_began_from_stays():
         assert exact_structure(graph, graphs[start])
 
 
+def test_a_plane_that_most_place_is_not_left_alone():
+    """Each of three has the last plane of the west in another room, and none wins."""
+    graphs = [
+        drawn((0, 1, 2, 3), (4, 5, 6, 7)),
+        drawn((0, 1, 2), (3, 4, 5, 6, 7)),
+        drawn((0, 1, 2), (3,), (4, 5, 6, 7)),
+        drawn((0, 1, 2), (4, 5, 6, 7)),
+    ]
+    for order in itertools.permutations(graphs):
+        graph, _ = consensus(order, NUM_PLANES)
+        assert exact_structure(graph, graphs[0]) or exact_structure(graph, graphs[1])
+    clutter = drawn((0, 1, 2), (4, 5, 6, 7))
+    graph, _ = consensus([clutter, graphs[0], clutter, graphs[1]], NUM_PLANES)  # half, not most
+    assert exact_structure(graph, clutter)
+
+
 def test_rooms_are_exchanged_together_so_that_no_plane_has_two_or_none():
     """Three cut the first six planes in three ways, and two of five leave them one room."""
     thirds = [drawn((0,), (1, 2, 3, 4, 5), D), drawn((0, 1), (2, 3, 4, 5), D)]
