@@ -12,7 +12,7 @@ from sg3d_jax.infer.candidates import are_settled
 from sg3d_jax.infer.confidence import Confidence, judged, sure_of
 from sg3d_jax.infer.consensus import consensus
 from sg3d_jax.infer.lanes import Finished, Model, complete_lanes
-from sg3d_jax.infer.prepare import Scene, finished, prepare
+from sg3d_jax.infer.prepare import Scene, in_place, prepare, whole_again
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
 CANDIDATES: Final = 8  # at most, of one sample a scene
@@ -70,7 +70,7 @@ class Completion(NamedTuple):
 class _Drawn(NamedTuple):
     """What was drawn of a scene, in the user's frame."""
 
-    graph: SceneGraph
+    graph: SceneGraph  # over the pieces of what is observed
     halt_reason: int  # index into HALT_REASONS
     steps: int  # blocks inserted
 
@@ -165,23 +165,28 @@ def _drawn(
         draws = [(place, number) for place in waiting for number in numbers]
         results = draw([(scene, sample * candidates + n) for (scene, sample), n in draws])
         for ((scene, sample), _), result in zip(draws, results, strict=True):
-            graph = finished(scenes[scene], result.graph)
+            graph = in_place(scenes[scene], result.graph)
             drawn[scene][sample].append(_Drawn(graph, result.halt_reason, result.steps))
         waiting = [
             (scene, sample)
             for scene, sample in waiting
-            if not are_settled([one.graph for one in drawn[scene][sample]], scenes[scene].num_given)
+            if not are_settled(_graphs(drawn[scene][sample]), scenes[scene].num_in_pieces)
         ]
     return drawn
+
+
+def _graphs(drawn: Sequence[_Drawn]) -> list[SceneGraph]:
+    return [one.graph for one in drawn]
 
 
 def _completions(scene: Scene, samples: Sequence[Sequence[_Drawn]]) -> list[Completion]:
     """Returns what is kept of all that was drawn of one scene, and how sure it is."""
     kept: list[_Drawn] = []
     for candidates in samples:
-        graph, index = consensus([one.graph for one in candidates], scene.num_given)
-        kept.append(candidates[index]._replace(graph=graph))
-    drawn = [one.graph for candidates in samples for one in candidates]
+        # Pieces of one observed node may belong to several wholes, so they vote apart.
+        graph, index = consensus(_graphs(candidates), scene.num_in_pieces)
+        kept.append(candidates[index]._replace(graph=whole_again(scene, graph)))
+    drawn = [whole_again(scene, one.graph) for candidates in samples for one in candidates]
     graphs = [one.graph for one in kept]
     judgements = judged(graphs, drawn, scene.num_given)
     # One draw alone tells nothing of its nodes and edges.

@@ -32,6 +32,11 @@ class Scene(NamedTuple):
     remarks: tuple[str, ...]  # what was mended, cut, or is not plausible; one sentence each
 
     @property
+    def num_in_pieces(self) -> int:
+        """How many nodes are given once what is observed is cut."""
+        return len(self.in_pieces.nodes.label)
+
+    @property
     def num_given(self) -> int:
         """How many nodes are given."""
         return len(self.source)
@@ -117,21 +122,25 @@ def _pieces(given: SceneGraph) -> Pieces | None:
     return pieces if len(pieces.owner) > np.sum(given.nodes.observed) else None
 
 
-def finished(scene: Scene, grown: SceneGraph) -> SceneGraph:
-    """Returns the given part of a scene, untouched, with what was grown behind it.
+def in_place(scene: Scene, grown: SceneGraph) -> SceneGraph:
+    """Returns the given part of a scene, in pieces, with what was grown behind it, where it stands.
 
     Args:
       scene: of `prepare`.
       grown: host graph whose first nodes are those of `scene.centred`.
     """
-    num_given = len(scene.in_pieces.nodes.label)
+    num_given = scene.num_in_pieces
     pairs = undirected_edges(grown, PART_OF)
-    graph = extended(
+    return extended(
         scene.in_pieces,
         np.asarray(grown.nodes.label)[num_given:],
         np.asarray(grown.nodes.position, np.float64)[num_given:] + scene.centre,
         pairs[(pairs >= num_given).any(axis=-1)],
     )
+
+
+def whole_again(scene: Scene, graph: SceneGraph) -> SceneGraph:
+    """Returns a graph of `in_place` with what is observed as it was given, untouched."""
     return graph if scene.pieces is None else joined(graph, scene.pieces, scene.given)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.infer.prepare import finished, prepare
+from sg3d_jax.infer.prepare import in_place, prepare, whole_again
 from sg3d_jax.io.planes import planes
 from sg3d_jax.scene.graph import extended, observed_of, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PART_OF, PROXIMITY, ROOM
@@ -42,7 +42,7 @@ def test_scenes_are_brought_to_the_origin_and_leave_as_they_came():
         assert np.abs(scene.centred.nodes.position).max() < 20
         count = len(scene.given.nodes.label)
         grown = extended(scene.centred, [FLOOR], [[1.0, 2.0, 3.0]], [[0, count]])
-        back = finished(scene, grown)
+        back = whole_again(scene, in_place(scene, grown))
         npt.assert_array_equal(back.nodes.position[:count], far.nodes.position[:count])
         npt.assert_array_equal(back.nodes.normal[:count], far.nodes.normal[:count])
         npt.assert_allclose(back.nodes.position[count], scene.centre + np.arange(1, 4), rtol=1e-12)
@@ -136,7 +136,7 @@ def test_a_plane_that_rooms_share_is_cut_and_comes_back_whole():
     assert len(scene.centred.nodes.label) == 8
     rooms = [[8.0, 0, 0], [9.0, 0, 0]]  # of the first piece, and of the second
     grown = extended(scene.centred, [ROOM, ROOM], rooms, [[6, 8], [7, 9], [0, 8]])
-    back = finished(scene, grown)
+    back = whole_again(scene, in_place(scene, grown))
     for found, expected in zip(observed_of(back).nodes, given.nodes, strict=True):
         npt.assert_array_equal(found, expected)
     npt.assert_array_equal(undirected_edges(back, PART_OF), [[0, 7], [6, 7], [6, 8]])

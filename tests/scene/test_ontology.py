@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import pickle
 
 import jax
 import numpy as np
@@ -147,3 +148,12 @@ def test_what_is_no_ontology_is_refused(make, sentence):
 def test_json_that_is_no_ontology_is_refused_with_the_place(values):
     with pytest.raises(ValueError, match=r"^scenes\.json: .*expected"):
         ontology_from_dict(values, "scenes.json")
+
+
+@BOTH
+def test_what_is_pickled_is_hashed_anew(ontology):
+    """Hashes of strings differ from process to process: equal ontologies would not be found."""
+    hash(ontology)
+    again = pickle.loads(pickle.dumps(ontology))
+    assert "_hash" not in vars(again)
+    assert again == ontology
