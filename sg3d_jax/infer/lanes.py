@@ -3,8 +3,11 @@
 What a lane makes of its scene does not depend on the other lanes, nor on how many there are.
 """
 
+import itertools
 import operator
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -20,10 +23,9 @@ from sg3d_jax.scene.graph import PackedGraph, SceneGraph
 from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity, bucket, stack, unpad
 
-# Scenes grown together: constant in a bucket, so that there is one compilation of each. Four reach
-# the rate of 32, on two cores, and a scene alone pays for few.
-LANES = 4
-LANE_NODES = 1024
+LANES = 256  # scenes that an accelerator grows together at most, and
+LANE_NODES = 32_768  # nodes of all of them
+MAX_OBSERVED = 1133  # that with what grows from them fit the largest bucket
 WORD = 32  # bits of a seed that JAX takes at once
 
 
@@ -132,8 +134,20 @@ def largest_capacity(num_observed: int, num_given: int = 0) -> Capacity:
 
 
 def num_lanes(capacity: Capacity) -> int:
-    """Returns how many scenes of a bucket are grown together by default."""
+    """Returns how many scenes of a bucket are grown together by default; one program a bucket.
+
+    A core of a CPU is as fast with one as with eight, and no lane then waits for another.
+    """
+    if jax.default_backend() == "cpu":
+        return 1
     return max(1, min(LANES, LANE_NODES // capacity.nodes))
+
+
+def num_workers() -> int:
+    """Returns how many batches are grown side by side: as many as there are cores, on a CPU."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def complete_lanes(
@@ -173,23 +187,42 @@ def complete_lanes(
         jobs, width = waiting.pop(capacity), lanes or num_lanes(capacity)
         # Neighbours in a batch are of like size, so that they need like numbers of steps.
         jobs.sort(key=lambda job: len(job.graph.nodes.label))
-        for first in range(0, len(jobs), width):
-            batch = jobs[first : first + width]
+        batches = [jobs[first : first + width] for first in range(0, len(jobs), width)]
+
+        def run(batch: list[Job], capacity: Capacity = capacity, width: int = width) -> Any:
             padded = [*batch, *[batch[-1]] * (width - len(batch))]  # idle lanes repeat the last
             missing = [scenes[job.scene].num_missing for job in padded]
-            results = _run(model, params, padded, missing, capacity, seed, max_steps)
-            for job, result in zip(batch, results, strict=False):
-                if (
-                    result.halt_reason == CAPACITY
-                    and outgrow
-                    and capacity < _most(scenes[job.scene])
-                ):
-                    larger = bucket(capacity.nodes + 1)
-                    later = Job(job.scene, job.sample, result.graph, result.steps)
-                    waiting.setdefault(larger, []).append(later)
-                else:
-                    finished[job.scene, job.sample] = result
+            return _run(model, params, padded, missing, capacity, seed, max_steps)
+
+        for job, result in zip(jobs, itertools.chain(*_side_by_side(run, batches)), strict=False):
+            if result.halt_reason == CAPACITY and outgrow and capacity < _most(scenes[job.scene]):
+                larger = bucket(capacity.nodes + 1)
+                later = Job(job.scene, job.sample, result.graph, result.steps)
+                waiting.setdefault(larger, []).append(later)
+            else:
+                finished[job.scene, job.sample] = result
     return [finished[draw] for draw in draws]
+
+
+def _side_by_side(
+    run: Callable[[list[Any]], list[Any]], batches: Sequence[list[Any]]
+) -> list[list[Any]]:
+    """Runs batches in threads; the first alone, so that their program is compiled once.
+
+    What JAX is told for one thread, such as by `jax.default_device`, is so in all.
+    """
+    results = [run(batch) for batch in batches[:1]]
+    device, checks = jax.config.jax_default_device, jax.config.jax_debug_key_reuse
+
+    def as_here(batch: list[Any]) -> list[Any]:
+        with jax.default_device(device), jax.debug_key_reuse(checks):
+            return run(batch)
+
+    pool = ThreadPoolExecutor(num_workers())
+    try:
+        return [*results, *pool.map(as_here, batches[1:])]
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # after Ctrl-C nothing more is begun
 
 
 def _capacity(model: Model, scene: Scene) -> Capacity:
@@ -199,9 +232,15 @@ def _capacity(model: Model, scene: Scene) -> Capacity:
     try:
         if isinstance(model, OneShot):
             return model.capacity(num_observed, scene.num_missing)
-        return growth_capacity(num_observed, len(nodes.label))
     except ValueError as error:
         raise ValueError(f"{scene.where}: {error}") from error
+    try:
+        return growth_capacity(num_observed, len(nodes.label))
+    except ValueError as error:
+        held = f"{num_observed} {model.ontology.observed_plural}, with their pieces"
+        most = f"{MAX_OBSERVED} among {NODE_CAPACITIES[-1] - 8}"
+        problem = f"there are {held}, among {len(nodes.label)} nodes, expected at most {most}"
+        raise ValueError(f"{scene.where}: {problem}") from error
 
 
 def _most(scene: Scene) -> Capacity:
@@ -225,7 +264,7 @@ def _run(
     if isinstance(model, Flagg):
         steps = jnp.asarray([job.steps for job in jobs], jnp.int32)
         nodes = given.nodes  # a graph of observed nodes alone is not asked about: one program less
-        ask_first = bool(jnp.any(nodes.mask & ~nodes.observed & (steps == 0)[:, None]))
+        ask_first = bool(np.any(nodes.mask & ~nodes.observed & (np.asarray(steps) == 0)[:, None]))
         grown = grow_lanes(model, params, keys, given, steps, max_steps, ask_first)
     elif isinstance(model, OneShot):
         grown = model.complete_lanes(params, keys, given, jnp.asarray(num_missing, jnp.int32))

@@ -1,3 +1,5 @@
+import threading
+
 import jax
 import numpy as np
 import numpy.testing as npt
@@ -48,15 +50,47 @@ def assert_same(one, other):
     npt.assert_array_equal(*(undirected_edges(each.graph, PART_OF) for each in (one, other)))
 
 
-@pytest.mark.parametrize("width", [1, 7])
-def test_results_do_not_depend_on_the_number_of_lanes(width):
-    for found, expected in zip(
-        completed(PARTS, stop_at(11), samples=2, lanes=width),
-        completed(PARTS, stop_at(11), samples=2),
-        strict=True,
-    ):
-        for one, other in zip(found, expected, strict=True):
-            assert_same(one, other)
+def test_results_depend_neither_on_the_number_of_lanes_nor_on_that_of_threads(monkeypatch):
+    threads = set()
+    run = lanes._run
+
+    def noted(*arguments):
+        threads.add(threading.get_ident())
+        return run(*arguments)
+
+    monkeypatch.setattr(lanes, "_run", noted)
+    monkeypatch.setattr(lanes, "num_workers", lambda: 3)
+    expected = completed(PARTS, stop_at(11), samples=2)
+    assert len(threads) > 1
+    assert threading.get_ident() in threads  # the first, which compiles
+    monkeypatch.setattr(lanes, "num_workers", lambda: 1)
+    for width in (None, 7):
+        found = completed(PARTS, stop_at(11), samples=2, lanes=width)
+        for samples, others in zip(found, expected, strict=True):
+            for one, other in zip(samples, others, strict=True):
+                assert_same(one, other)
+
+
+def test_all_threads_use_the_device_of_the_caller():
+    """And what else JAX is told of one thread alone."""
+    with jax.default_device(jax.devices()[1]):
+        devices = lanes._side_by_side(lambda _: [jax.config.jax_default_device], [[]] * 4)
+    assert devices == [[jax.devices()[1]]] * 4
+
+
+def test_what_goes_wrong_in_a_thread_is_told_and_nothing_more_is_begun(monkeypatch):
+    monkeypatch.setattr(lanes, "num_workers", lambda: 1)
+    begun = []
+
+    def run(batch):
+        begun.append(batch)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return []
+
+    with pytest.raises(KeyboardInterrupt):
+        lanes._side_by_side(run, [[number] for number in range(50)])
+    assert len(begun) < 10
 
 
 def test_a_graph_that_does_not_fit_goes_on_in_the_next_bucket():
@@ -101,10 +135,14 @@ def test_a_partial_graph_has_room_for_what_is_given():
     assert growth_capacity(3, 60).nodes >= 68
 
 
-def test_small_buckets_have_more_lanes():
-    widths = [num_lanes(Capacity(nodes, 12 * nodes)) for nodes in NODE_CAPACITIES]
+def test_small_buckets_have_more_lanes_on_a_device_that_is_no_cpu(monkeypatch):
+    capacities = [Capacity(nodes, 12 * nodes) for nodes in NODE_CAPACITIES]
+    assert {num_lanes(capacity) for capacity in capacities} == {1}
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    widths = [num_lanes(capacity) for capacity in capacities]
     assert widths == sorted(widths, reverse=True)
-    assert (widths[0], widths[-1]) == (4, 1)
+    assert (widths[0], widths[-1]) == (256, 16)
+    assert lanes.num_workers() == 1
 
 
 def test_keys_depend_on_scene_and_sample_alone():
