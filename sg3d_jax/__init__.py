@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sg3d_jax import runtime
+from sg3d_jax.origin import VERSION
 
 if TYPE_CHECKING:
     from sg3d_jax.data.registry import make as make_dataset
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
 runtime.configure()
 
-__version__ = "0.1.0"
+__version__ = VERSION
 __all__ = [
     "FGW",
     "NODE_CAPACITIES",

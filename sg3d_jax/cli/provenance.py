@@ -3,14 +3,12 @@
 import os
 import platform
 import shlex
-import subprocess
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Final
 
-import sg3d_jax
+from sg3d_jax.origin import commit
 
-CLONE: Final = Path(__file__).parents[2]
 arguments: Final[ContextVar[tuple[str, ...]]] = ContextVar("arguments", default=())
 
 
@@ -20,25 +18,13 @@ def provenance() -> dict[str, Any]:
 
     return {
         "command": shlex.join(["sg3d", *arguments.get()]),
-        "commit": _commit(),
+        "commit": commit(),
         "machine": {
             "processor": _processor(),
             "cores": os.cpu_count(),
             "device": jax.devices()[0].device_kind,
         },
     }
-
-
-def _commit() -> str:
-    """Returns the commit of a clone, with "-dirty" if files differ from it; else the version."""
-    if not (CLONE / ".git").exists():
-        return sg3d_jax.__version__
-    describe = ["git", "-C", str(CLONE), "describe", "--always", "--dirty"]
-    try:
-        run = subprocess.run(describe, check=True, capture_output=True, text=True)
-    except (OSError, subprocess.CalledProcessError):  # no git, or a clone of somebody else
-        return sg3d_jax.__version__
-    return run.stdout.strip()
 
 
 def _processor() -> str:

@@ -1,10 +1,12 @@
 """A run: data, steps, validation by sampling, checkpoints, logs.
 
 A run is a pure function of its configuration: data, parameters, the order of the buckets and every
-draw follow from its seeds and the step, so a resumed run continues bit for bit.
+draw follow from its seeds and the step, so a resumed run continues bit for bit. A run whose steps
+are raised goes on from where it is, by the schedule of the new length: the learning rate, which had
+fallen towards zero, rises to what it is at that step of a run so long. It is not, then, what a run
+of that length would have been from its start.
 """
 
-import json
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,15 +21,17 @@ from jaxtyping import Array, Key
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.infer.complete import complete, share_halted
 from sg3d_jax.infer.lanes import Model, root_key
-from sg3d_jax.io.files import read_documents, replacing
+from sg3d_jax.io.files import sync
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph, ontology_of
 from sg3d_jax.train import checkpoint
 from sg3d_jax.train.card import Card, card_of
-from sg3d_jax.train.config import Config, check, to_json
+from sg3d_jax.train.config import Config, check
 from sg3d_jax.train.dataset import load_split, stack_by_size, training_graphs
-from sg3d_jax.train.log import display, writers
+from sg3d_jax.train.digest import digest_of
+from sg3d_jax.train.directory import changes_of_origin, check_same_run, held, origin_of, write_run
+from sg3d_jax.train.log import display, say_remark, writers
 from sg3d_jax.train.methods import METHODS, Measured, build_model, measure
 from sg3d_jax.train.statistics import shares_of
 from sg3d_jax.train.step import TrainCall, TrainState, init_state, make_train_call
@@ -43,6 +47,15 @@ class Run(NamedTuple):
     stacks: list[PackedGraph]  # training graphs by size
     validation: list[SceneGraph]  # host graphs
     card: Card  # of the weights to come
+    digests: dict[str, str]  # of the training and validation graphs
+
+
+class Finished(NamedTuple):
+    """What a run has come to."""
+
+    weights: Path  # the file
+    step: int  # of the best validation FGW, whose averaged parameters they are
+    fgw: float  # it
 
 
 def prepare(config: Config, graphs: Sequence[SceneGraph] | None = None) -> Run:
@@ -58,7 +71,8 @@ def prepare(config: Config, graphs: Sequence[SceneGraph] | None = None) -> Run:
     statistics = measure(config.model, config.flagg, stacks)
     validation = load_split(config.data, "validation")[: config.validation_graphs]
     model = build_model(config.model, config.flagg, statistics, config.ontology)
-    return Run(config, model, statistics, stacks, validation, card_of(graphs))
+    digests = {"training": digest_of(graphs), "validation": digest_of(validation)}
+    return Run(config, model, statistics, stacks, validation, card_of(graphs), digests)
 
 
 def _check_concepts(config: Config, graphs: Sequence[SceneGraph]) -> None:
@@ -80,7 +94,7 @@ def bucket_of_call(config: Config, shares: np.ndarray, call: int) -> int:
 def validate(run: Run, params: Params) -> dict[str, float]:
     """Completes the validation scenes and scores them: means of FGW, GW, W, exact structures."""
     seed = run.config.validation_seed  # a model that has not learnt to halt is not waited for
-    completions = complete(run.model, params, run.validation, seed, outgrow=False)
+    completions = complete(run.model, params, run.validation, seed, candidates=1, outgrow=False)
     made = [samples[0].graph for samples in completions]
     truth = [METHODS[run.config.method].target(graph) for graph in run.validation]
     scores = fgw_pairs(made, truth)
@@ -96,40 +110,83 @@ def validate(run: Run, params: Params) -> dict[str, float]:
     }
 
 
-def train(config: Config, directory: str | Path) -> Path:
+def train(config: Config, directory: str | Path, accept_changes: bool = False) -> Finished:
     """Trains, or goes on training, in a run directory.
 
     Args:
-      config: the run. A directory that already holds a run must hold this one.
-      directory: gets config.json, log.jsonl, checkpoints/ and, at the end, weights.npz.
+      config: the run. A directory that already holds a run must hold this one, of as many steps or
+        fewer.
+      directory: gets config.json, origins.jsonl, log.jsonl, checkpoints/ and, at the end,
+        weights.npz.
+      accept_changes: go on with other data or code, or on another device, than the run began with.
 
     Returns:
-      The path of the weights: the averaged parameters of the best validation FGW.
+      The weights: the averaged parameters of the best validation FGW.
 
     Raises:
-      ValueError: the configuration is no run, the directory holds a run of another one, or the
-        weights to start from do not fit.
+      ValueError: the configuration is no run, the directory holds a run of another one, or of other
+        data or code, or another process trains in it, or the weights to start from do not fit.
       FloatingPointError: the loss is not finite; the last good checkpoint stays.
+      OSError: something cannot be written.
     """
     directory = Path(directory)
     check(config)
-    _check_same_run(directory / "config.json", config)
-    run = prepare(config)
-    template = init_state(config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
-    start = start_from_weights(config, template)
-    directory.mkdir(parents=True, exist_ok=True)
-    with replacing(directory / "config.json") as temporary:
-        temporary.write_text(to_json(config) + "\n")
-    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
-    try:
-        kept = checkpoint.steps(checkpoints)
-        state = checkpoint.restore(checkpoints, template, kept[-1][0]) if kept else start
-        _run(run, state, checkpoints, directory)
-        best = min(checkpoint.steps(checkpoints), key=lambda step_and_fgw: step_and_fgw[1])[0]
-        params = checkpoint.restore(checkpoints, template, best).average
-    finally:
-        checkpoint.close(checkpoints)
-    return save_weights(directory / "weights.npz", config, run.statistics, params, run.card)
+    with held(directory):
+        steps = check_same_run(directory, config)
+        run = prepare(config)
+        here = origin_of(run.digests)
+        _check_origin(directory, here, accept_changes)
+        template = init_state(config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
+        start = start_from_weights(config, template)
+        checkpoints = checkpoint.open_checkpoints(directory / "checkpoints", template)
+        try:
+            kept = checkpoint.steps(checkpoints)
+            step = kept[-1].step if kept else 0
+            _remark_how_it_goes_on(directory, checkpoints, step, steps, config.steps)
+            write_run(directory, config, here, step)
+            state = checkpoint.restore(checkpoints, template, step) if kept else start
+            _run(run, state, checkpoints, directory)
+            best = min(checkpoint.steps(checkpoints), key=lambda one: one.fgw)
+            params = checkpoint.restore(checkpoints, template, best.step).average
+        finally:
+            checkpoint.close(checkpoints)
+        weights = directory / "weights.npz"
+        save_weights(weights, config, run.statistics, params, run.card)
+        return Finished(weights, best.step, best.fgw)
+
+
+def _check_origin(directory: Path, here: dict[str, str], accept_changes: bool) -> None:
+    """Refuses to go on with other data or code than a run began with, unless that is asked for."""
+    changes = changes_of_origin(directory, here)
+    if changes is None:
+        say_remark(f"{directory}: does not say what data and code it began with; taken to be these")
+        return
+    listed = "; ".join(changes)
+    if changes and not accept_changes:
+        raise ValueError(
+            f"{directory}: the run began with other data or code, {listed}; expected the same, or "
+            "--accept-changes for weights that are of neither alone"
+        )
+    if changes:
+        say_remark(f"{directory}: goes on although changed, {listed}")
+
+
+def _remark_how_it_goes_on(
+    directory: Path,
+    checkpoints: checkpoint.Checkpoints,
+    step: int,
+    steps_before: int | None,
+    steps: int,
+) -> None:
+    """Says what is unusual in how a run goes on."""
+    if checkpoints.damaged:
+        names = ", ".join(checkpoints.damaged)
+        say_remark(f"{directory}: set aside damaged checkpoints: {names}; goes on from step {step}")
+    if steps_before is not None and steps_before < steps:
+        say_remark(
+            f"{directory}: had {steps_before} steps, now {steps}; from step {step} on the learning "
+            f"rate is that of a run of {steps}"
+        )
 
 
 def start_from_weights(config: Config, state: TrainState) -> TrainState:
@@ -159,14 +216,17 @@ def compile_calls(
 ) -> list[TrainCall]:
     """Compiles the training call of every bucket, side by side on as many cores as there are."""
     lowered = [train_call.lower(state, key, graphs) for graphs in stacks]
-    with ThreadPoolExecutor() as pool:
+    pool = ThreadPoolExecutor()
+    try:
         return list(pool.map(lambda one: one.compile(), lowered))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # Ctrl-C waits for no compiler
 
 
 def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, directory: Path) -> None:
     """Trains from a state to the end, validating and saving on the way."""
     config = run.config
-    record = writers(directory)
+    record = writers(directory, int(state.step))
     key, shares = root_key(config.seed + 1), shares_of(run.stacks)
     train_calls = compile_calls(make_train_call(config, run.model), state, key, run.stacks)
     with display(config.steps, int(state.step)) as shown:
@@ -187,30 +247,8 @@ def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, direc
             shown.advance(step, f"loss {values['loss']:.4f}  {seconds:.3f} s/step")
             if step % config.validate_every == 0 or step >= config.steps:
                 scores = validate(run, state.average)
-                checkpoint.save(checkpoints, state, scores["fgw"])
                 for write in record:
                     write("validation", step, scores)
+                sync(directory / "log.jsonl")  # a checkpoint is behind all records of its steps
+                checkpoint.save(checkpoints, state, scores["fgw"])
                 shown.advance(step, "  ".join(f"{k} {v:.4f}" for k, v in scores.items()))
-
-
-def _check_same_run(path: Path, config: Config) -> None:
-    """Refuses a run directory whose config.json is of another run."""
-    if not path.exists():
-        return
-    ((_, there),) = read_documents(path)
-    changed = _changes(there, json.loads(to_json(config)))
-    if changed:
-        listed = "; ".join(f"{name} {old} there, {new} here" for name, old, new in changed)
-        raise ValueError(f"{path}: the run has another configuration: {listed}")
-
-
-def _changes(there: dict[str, Any], here: dict[str, Any], prefix: str = "") -> list[tuple]:
-    """Lists the fields in which two nested dictionaries differ."""
-    found = []
-    for name in sorted(there.keys() | here.keys()):
-        old, new = there.get(name), here.get(name)
-        if isinstance(old, dict) and isinstance(new, dict):
-            found += _changes(old, new, f"{prefix}{name}.")
-        elif old != new:
-            found.append((f"{prefix}{name}", old, new))
-    return found

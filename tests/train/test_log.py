@@ -3,8 +3,11 @@ import math
 import sys
 import time
 import types
+from pathlib import Path
 
-from sg3d_jax.train.log import JsonLines, display, writers
+import pytest
+
+from sg3d_jax.train.log import JsonLines, display, trim, writers
 
 
 def test_records_are_json_lines_that_are_appended(tmp_path):
@@ -18,6 +21,41 @@ def test_records_are_json_lines_that_are_appended(tmp_path):
     assert all(line["seconds"] >= 0 for line in lines)
 
 
+def row(kind, step, **values):
+    return json.dumps({"kind": kind, "step": step, **values}) + "\n"
+
+
+def test_records_are_trimmed_to_one_of_each_step_up_to_the_one_that_a_run_goes_on_from(tmp_path):
+    path = tmp_path / "log.jsonl"
+    whole = row("train", 1) + row("train", 2) + row("validation", 2)
+    spoilt = row("train", 1) + row("train", 2, loss=9) + '{"kind": "tra' + row("train", 2)
+    path.write_text(spoilt + row("train", 2) + row("validation", 2) + row("train", 3) + '{"kind"')
+    trim(path, 2)
+    assert path.read_text() == whole
+    trim(path, 1)
+    assert path.read_text() == row("train", 1)
+    trim(path, 0)
+    assert path.read_text() == ""
+
+
+def test_a_whole_log_is_not_touched_and_a_missing_one_not_made(tmp_path):
+    path = tmp_path / "log.jsonl"
+    trim(path, 4)
+    assert not path.exists()
+    path.write_text(row("train", 4))
+    before = path.stat().st_ino
+    trim(path, 4)
+    assert path.stat().st_ino == before
+
+
+def test_a_record_that_cannot_be_written_is_an_error_that_names_the_file(tmp_path):
+    if not Path("/dev/full").exists():
+        pytest.skip("no device that is always full")
+    (tmp_path / "log.jsonl").symlink_to("/dev/full")
+    with pytest.raises(OSError, match=r"log\.jsonl: cannot be written \(No space left on device\)"):
+        JsonLines(tmp_path / "log.jsonl", time.time())("train", 1, {"loss": 0.5})
+
+
 def test_a_number_that_json_lacks_is_null(tmp_path):
     record = JsonLines(tmp_path / "log.jsonl", time.time())
     record("validation", 1, {"fgw": math.inf, "gw": math.nan, "w": 1.0})
@@ -29,15 +67,16 @@ def test_tensorboard_is_written_if_it_is_installed(tmp_path, monkeypatch):
     seen = []
 
     class SummaryWriter:
-        def __init__(self, directory):
+        def __init__(self, directory, purge_step):
             self.directory = directory
+            assert purge_step == 3  # what was recorded of step 3 is made again
 
         def add_scalar(self, name, value, step):
             seen.append((self.directory, name, value, step))
 
     module = types.SimpleNamespace(SummaryWriter=SummaryWriter)
     monkeypatch.setitem(sys.modules, "tensorboardX", module)
-    for write in writers(tmp_path):
+    for write in writers(tmp_path, 2):
         write("train", 3, {"loss": 1.5})
     assert seen == [(str(tmp_path / "tensorboard"), "train/loss", 1.5, 3)]
     assert (tmp_path / "log.jsonl").exists()
@@ -45,7 +84,7 @@ def test_tensorboard_is_written_if_it_is_installed(tmp_path, monkeypatch):
 
 def test_without_tensorboard_there_are_json_lines_only(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX", None)
-    assert [type(writer) for writer in writers(tmp_path)] == [JsonLines]
+    assert [type(writer) for writer in writers(tmp_path, 2)] == [JsonLines]
 
 
 def test_off_a_terminal_every_advance_is_one_plain_line_on_stderr(capsys):

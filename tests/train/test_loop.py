@@ -1,5 +1,7 @@
+import contextlib
 import dataclasses
 import json
+import shutil
 
 import jax
 import jax.numpy as jnp
@@ -44,12 +46,18 @@ def log_of(directory, kind=None):
     return [line for line in lines if kind in (None, line["kind"])]
 
 
-def kept_in(directory):
-    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
+@contextlib.contextmanager
+def opened(trained, directory):
+    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints", trained.initial)
     try:
-        return checkpoint.steps(checkpoints)
+        yield checkpoints
     finally:
         checkpoint.close(checkpoints)
+
+
+def kept_in(trained, directory):
+    with opened(trained, directory) as checkpoints:
+        return checkpoint.steps(checkpoints)
 
 
 def stop_at(step, monkeypatch, error):
@@ -76,6 +84,10 @@ def poison(name, step, monkeypatch):
     monkeypatch.setattr(loop, "make_train_call", lambda config, model: call)
 
 
+def without_times(lines):
+    return [{k: v for k, v in line.items() if not k.startswith("seconds")} for line in lines]
+
+
 def scripted(scores, monkeypatch):
     """Replaces validation by given values of FGW."""
     values = iter(scores)
@@ -84,7 +96,14 @@ def scripted(scores, monkeypatch):
 
 def test_a_run_leaves_its_configuration_its_log_and_its_weights(trained):
     there = {path.name for path in trained.directory.iterdir()}
-    assert there - {"tensorboard"} == {"config.json", "log.jsonl", "checkpoints", "weights.npz"}
+    assert there - {"tensorboard"} == {
+        "config.json",
+        "origins.jsonl",
+        "log.jsonl",
+        "lock",
+        "checkpoints",
+        "weights.npz",
+    }
     assert (trained.directory / "config.json").read_text() == to_json(trained.run.config) + "\n"
     for kind, steps in (("train", [4, 8, 12, 16, 20, 24]), ("validation", [12, 24])):
         assert [line["step"] for line in log_of(trained.directory, kind)] == steps
@@ -95,14 +114,87 @@ def test_a_run_that_was_interrupted_goes_on_bit_for_bit(programs, tmp_path, monk
         stop_at(20, patch, KeyboardInterrupt)
         with pytest.raises(KeyboardInterrupt):
             train(programs.run.config, tmp_path)
-    assert [step for step, _ in kept_in(tmp_path)] == [12]
+    assert [step for step, _ in kept_in(programs, tmp_path)] == [12]
     assert not (tmp_path / "weights.npz").exists()
-    weights = train(programs.run.config, tmp_path)
+    weights = train(programs.run.config, tmp_path).weights
     assert_same_weights(weights, programs.directory / "weights.npz")
+    assert without_times(log_of(tmp_path)) == without_times(log_of(programs.directory))
+
+
+def test_a_run_whose_latest_checkpoint_is_damaged_goes_on_from_the_one_before(
+    programs, tmp_path, capsys
+):
+    shutil.copytree(programs.directory, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "checkpoints" / "24" / "metrics" / "metrics").write_text("")
+    done = train(programs.run.config, tmp_path)
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sg3d")]
+    assert said == [
+        f"sg3d: remark: {tmp_path}: set aside damaged checkpoints: 24; goes on from step 12"
+    ]
+    assert_same_weights(done.weights, programs.directory / "weights.npz")
+    assert without_times(log_of(tmp_path)) == without_times(log_of(programs.directory))
+
+
+def test_a_run_that_was_killed_between_log_and_checkpoint_validates_once(
+    programs, tmp_path, monkeypatch
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "save", lambda *given: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            train(programs.run.config, tmp_path)
+    assert [line["step"] for line in log_of(tmp_path, "validation")] == [12]
+    train(programs.run.config, tmp_path)
+    assert without_times(log_of(tmp_path)) == without_times(log_of(programs.directory))
+
+
+def origins_of(directory):
+    lines = map(json.loads, (directory / "origins.jsonl").read_text().splitlines())
+    return [(line["step"], line["steps"], line["training"]) for line in lines]
+
+
+def test_a_finished_run_is_lengthened_by_the_schedule_of_the_new_length(programs, tmp_path, capsys):
+    shutil.copytree(programs.directory, tmp_path, dirs_exist_ok=True)
+    longer = dataclasses.replace(programs.run.config, steps=36)
+    train(longer, tmp_path)
+    sentence = "had 24 steps, now 36; from step 24 on the learning rate is that of a run of 36"
+    assert f"sg3d: remark: {tmp_path}: {sentence}\n" in capsys.readouterr().err
+    assert [line["step"] for line in log_of(tmp_path, "validation")] == [12, 24, 36]
+    data = programs.run.digests["training"]
+    assert origins_of(tmp_path) == [(0, 24, data), (24, 36, data)]
+    assert load_weights(tmp_path / "weights.npz").config.steps == 36
+    with pytest.raises(ValueError, match="another configuration: steps 36 there, 24 here"):
+        train(programs.run.config, tmp_path)
+
+
+def test_a_run_goes_on_with_other_data_only_if_that_is_wanted(
+    programs, tmp_path, monkeypatch, capsys
+):
+    shutil.copytree(programs.directory, tmp_path, dirs_exist_ok=True)
+    other = programs.run._replace(digests={**programs.run.digests, "training": "other"})
+    monkeypatch.setattr(loop, "prepare", lambda config: other._replace(config=config))
+    config = dataclasses.replace(programs.run.config, steps=36)
+    before = (tmp_path / "config.json").read_text()
+    digest = programs.run.digests["training"]
+    with pytest.raises(ValueError, match=f"other data or code, training {digest} there, other he"):
+        train(config, tmp_path)
+    assert (tmp_path / "config.json").read_text() == before
+    train(config, tmp_path, accept_changes=True)
+    assert f"goes on although changed, training {digest} there" in capsys.readouterr().err
+    assert origins_of(tmp_path) == [(0, 24, digest), (24, 36, "other")]
+
+
+def test_a_run_of_an_earlier_version_goes_on_with_a_remark(programs, tmp_path, capsys):
+    shutil.copytree(programs.directory, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "origins.jsonl").unlink()
+    for digest in tmp_path.glob("checkpoints/*/digest"):
+        digest.unlink()
+    train(programs.run.config, tmp_path)
+    assert "does not say what data and code it began with" in capsys.readouterr().err
 
 
 def test_a_run_is_a_function_of_its_configuration(programs, tmp_path):
-    assert_same_weights(train(programs.run.config, tmp_path), programs.directory / "weights.npz")
+    weights = train(programs.run.config, tmp_path).weights
+    assert_same_weights(weights, programs.directory / "weights.npz")
     again = prepare(programs.run.config)
     for one, other in zip(
         *map(jax.tree.leaves, ((again.statistics, again.stacks), programs.run[2:4])), strict=True
@@ -121,19 +213,21 @@ def test_calls_that_were_compiled_side_by_side_do_what_the_jitted_one_does(train
 
 def test_a_finished_run_is_left_as_it_is(programs, tmp_path, monkeypatch):
     scripted([0.2, 0.1], monkeypatch)
-    first = arrays(train(programs.run.config, tmp_path))
-    lines = log_of(tmp_path)
-    assert arrays(train(programs.run.config, tmp_path)).keys() == first.keys()
+    first = arrays(train(programs.run.config, tmp_path).weights)
+    lines, origins = log_of(tmp_path), (tmp_path / "origins.jsonl").read_text()
+    assert arrays(train(programs.run.config, tmp_path).weights).keys() == first.keys()
     assert log_of(tmp_path) == lines
+    assert (tmp_path / "origins.jsonl").read_text() == origins
 
 
 def test_the_weights_are_the_average_of_the_best_validation(programs, tmp_path, monkeypatch):
     scripted([np.inf, 0.1, 0.4], monkeypatch)
     config = dataclasses.replace(programs.run.config, validate_every=8)
-    weights = train(config, tmp_path)
-    assert kept_in(tmp_path) == [(16, 0.1), (24, 0.4)]
+    done = train(config, tmp_path)
+    assert kept_in(programs, tmp_path) == [(16, 0.1), (24, 0.4)]
+    assert (done.step, done.fgw) == (16, 0.1)
     state = restored(programs, tmp_path, 16)
-    loaded = load_weights(weights)
+    loaded = load_weights(done.weights)
     for one, other in zip(*map(jax.tree.leaves, (loaded.params, state.average)), strict=True):
         npt.assert_array_equal(one, other)
     assert not all(
@@ -142,16 +236,13 @@ def test_the_weights_are_the_average_of_the_best_validation(programs, tmp_path, 
     )
 
 
-def restored(programs, directory, step):
-    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints")
-    try:
-        return checkpoint.restore(checkpoints, programs.initial, step)
-    finally:
-        checkpoint.close(checkpoints)
+def restored(trained, directory, step):
+    with opened(trained, directory) as checkpoints:
+        return checkpoint.restore(checkpoints, trained.initial, step)
 
 
 def test_loaded_weights_grow_what_the_run_grew(trained):
-    best, fgw = min(kept_in(trained.directory), key=lambda step_and_fgw: step_and_fgw[1])
+    best, fgw = min(kept_in(trained, trained.directory), key=lambda step_and_fgw: step_and_fgw[1])
     loaded = load_weights(trained.directory / "weights.npz")
     scenes = trained.run.validation
     params = restored(trained, trained.directory, best).average
@@ -174,7 +265,7 @@ def test_a_loss_that_is_not_finite_stops_the_run(programs, tmp_path, monkeypatch
         train(programs.run.config, tmp_path)
     assert str(caught.value).startswith(f"{tmp_path}: the loss is")
     assert "\n" not in str(caught.value)
-    assert kept_in(tmp_path) == [(12, 0.5)]
+    assert kept_in(programs, tmp_path) == [(12, 0.5)]
     leaves = jax.tree.leaves(restored(programs, tmp_path, 12))
     assert all(np.isfinite(leaf).all() for leaf in leaves)
 
@@ -192,7 +283,8 @@ def test_a_directory_of_another_run_is_refused_by_the_fields_that_differ(trained
     other = dataclasses.replace(
         config, batch=9, model=dataclasses.replace(config.model, layers=3), capacities=(24, 48)
     )
-    before = {path: path.stat().st_mtime_ns for path in trained.directory.iterdir()}
+    there = [path for path in trained.directory.iterdir() if path.name != "lock"]
+    before = {path: path.stat().st_mtime_ns for path in there}
     with pytest.raises(ValueError, match=r"config\.json: the run has another") as caught:
         train(other, trained.directory)
     for change in (
@@ -202,7 +294,7 @@ def test_a_directory_of_another_run_is_refused_by_the_fields_that_differ(trained
     ):
         assert change in str(caught.value)
     assert "steps" not in str(caught.value).replace("model.topology_steps", "")
-    assert {path: path.stat().st_mtime_ns for path in trained.directory.iterdir()} == before
+    assert {path: path.stat().st_mtime_ns for path in there} == before
 
 
 def test_a_broken_run_directory_is_refused(trained, tmp_path):
