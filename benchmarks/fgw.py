@@ -11,6 +11,7 @@ Run: python benchmarks/fgw.py
 Writes benchmarks/results/fgw.json; given a number of cores, prints the speed on so many instead.
 """
 
+import argparse
 import json
 import multiprocessing
 import os
@@ -269,8 +270,11 @@ def speed_on(cores: int) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """Compares on graphs of about 24, 30, 110 and 223 nodes and writes the figures."""
-    if len(sys.argv) > 1:
-        cores = int(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cores", nargs="?", type=int, help="measure on so many, and only print")
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
+    arguments = parser.parse_args()
+    if cores := arguments.cores:
         jax.config.update("jax_num_cpu_devices", cores)
         jax.config.update("jax_enable_compilation_cache", False)  # compiling is timed, not reading
         print(json.dumps({size: speed(size, cores) for size in SETS}))
@@ -282,8 +286,7 @@ def main() -> None:
         "agreement": {size: agreement(size, count) for size, count in counts.items()},
     }
     print(json.dumps(results, indent=2))
-    RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps(results, indent=2) + "\n")
+    arguments.output.write_text(json.dumps(results, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@ Run: python benchmarks/generator.py [NAME ...]
 Writes benchmarks/results/generator.json; sets that are not named keep their results.
 """
 
+import argparse
 import json
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -103,12 +103,16 @@ def show(name: str, result: Mapping[str, Any]) -> None:
 
 def main() -> None:
     """Measures the sets that the command line names, prints the tables and writes the results."""
-    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
-    for name in sys.argv[1:] or NAMES:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", default=list(NAMES))
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
+    arguments = parser.parse_args()
+    output = arguments.output
+    results = json.loads(output.read_text()) if output.exists() else {}
+    for name in arguments.names:
         results[name] = measure(name)
         show(name, results[name])
-    RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps(results, indent=2) + "\n")
+    output.write_text(json.dumps(results, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ that graph alone, with the continuations of the weights' configuration. Writes
 benchmarks/results/growth.json and growth.png.
 """
 
+import argparse
 import dataclasses
 import json
 import os
@@ -111,9 +112,14 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Measures every size in its own process, and writes."""
-    weights, *size = sys.argv[1:] or [WEIGHTS]
-    if size:
-        print(json.dumps(measure(weights, int(size[0]))))
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("weights", nargs="?", default=WEIGHTS)
+    parser.add_argument("size", nargs="?", type=int, help="measure this one here, and only print")
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS, help="a folder")
+    arguments = parser.parse_args()
+    weights = arguments.weights
+    if arguments.size is not None:
+        print(json.dumps(measure(weights, arguments.size)))
         return
     rows = []
     for size in SIZES:
@@ -122,8 +128,8 @@ def main() -> None:
         rows.append(json.loads(run.stdout.splitlines()[-1]))
         print(rows[-1], flush=True)
     content = {"weights": Path(weights).stem, "cores": os.cpu_count(), "rows": rows}
-    (RESULTS / "growth.json").write_text(json.dumps(content, indent=2) + "\n")
-    draw(rows, RESULTS / "growth.png")
+    (arguments.output / "growth.json").write_text(json.dumps(content, indent=2) + "\n")
+    draw(rows, arguments.output / "growth.png")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ Run: python benchmarks/round_trips.py
 Prints a row a format and writes benchmarks/results/round_trips.json.
 """
 
+import argparse
 import json
 import tempfile
 import time
@@ -55,13 +56,16 @@ def round_trip(graphs: list[SceneGraph], to: str, folder: Path) -> dict[str, flo
 
 def main() -> None:
     """Measures and writes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
+    arguments = parser.parse_args()
     graphs = registry.make("s-f", FLOORS) + registry.make("s-c", CITIES)
     results = {}
     for to in FORMATS:
         with tempfile.TemporaryDirectory() as folder:
             results[to] = round_trip(graphs, to, Path(folder))
         print(to, results[to], flush=True)
-    RESULTS.write_text(json.dumps(results, indent=2) + "\n")
+    arguments.output.write_text(json.dumps(results, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -18,10 +18,10 @@ holes in a room have planes too; corners flatter than a centimetre are no corner
 """
 
 import gzip
-import json
 import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -32,7 +32,7 @@ from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.data.buildings import Storey
 from sg3d_jax.data.levels import Floor, Floors
-from sg3d_jax.io.files import number, read_text
+from sg3d_jax.io.files import number, parsed_lines, read_bytes
 
 MIN_PIECE: Final = 0.9  # of a room's area that must stay in one piece when it is repaired
 TOUCHING: Final = 0.01  # metres: rooms closer than this are drawn without a wall between them
@@ -42,6 +42,12 @@ MITRE_LIMIT: Final = 10.0  # corners sharper than about 11 degrees are cut off w
 MIN_SIDES: Final = 3
 MIN_ROOMS: Final = 2
 MAX_COORDINATE: Final = 1e4  # metres; beyond it a plan is hardly in metres
+LEAST_AREA: Final = 0.2  # square metres, of half of the rooms of a plan in metres;
+MOST_AREA: Final = 1e4  # others are in pixels, millimetres or kilometres
+MAX_CORNERS: Final = 4000  # of a floor: sides are compared in pairs,
+MAX_CORNERS_OF_ROOM: Final = 500  # as are those of a room that may cross itself,
+MAX_OVERLAPS: Final = 50  # and of so many rooms each
+MAX_BYTES: Final = 2**26  # of a file, unpacked
 
 
 @dataclass(frozen=True)
@@ -106,11 +112,7 @@ def read_plans(path: str | Path) -> list[Plan]:
     Raises:
       ValueError: one sentence that names the file, the line, the room and the field.
     """
-    lines = enumerate(_read(path).split("\n"), 1)
-    plans = [_plan(line, f"{path}: line {index}") for index, line in lines if line.strip()]
-    if not plans:
-        raise ValueError(f"{path}: the file is empty, expected one floor a line")
-    return plans
+    return [_plan(document, where) for where, document in parsed_lines(_read(path), path)]
 
 
 def read_floors(path: str | Path, config: FloorplanConfig = RULES) -> Floors:
@@ -145,10 +147,40 @@ def storey_of_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig = RULES
     Raises:
       ValueError: the rooms make no floor; the sentence names the room.
     """
+    check_corners(sum(map(len, rooms)))
     shapes = tidy_rooms(rooms, config)
+    check_metres(shapes)
     sides = sides_of(shapes, config.flatness)
+    check_corners(len(sides.room))
     wall, wall_centre = find_walls(sides, shapes, config)
     return storey_of(sides, shapes, wall, wall_centre)
+
+
+def check_corners(count: int) -> None:
+    """Refuses a floor that is too large to be read.
+
+    Raises:
+      ValueError: it has too many corners.
+    """
+    if count > MAX_CORNERS:
+        raise ValueError(f"there are {count} corners, expected at most {MAX_CORNERS} on a floor")
+
+
+def check_metres(shapes: np.ndarray) -> None:
+    """Refuses rooms that are drawn in another unit than metres.
+
+    Args:
+      shapes: their polygons.
+
+    Raises:
+      ValueError: half of them are smaller than a cupboard, or larger than a field.
+    """
+    area = float(np.median(shapely.area(shapes)))
+    if not LEAST_AREA <= area <= MOST_AREA:
+        raise ValueError(
+            f"the median room has {area:.6g} square metres, expected {LEAST_AREA:g} to "
+            f"{MOST_AREA:g}: corners are to be in metres"
+        )
 
 
 def storey_of(
@@ -191,6 +223,10 @@ def tidy_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig) -> np.ndarr
     """
     if len(rooms) < MIN_ROOMS:
         raise ValueError(f"there are {len(rooms)} rooms, expected at least {MIN_ROOMS}")
+    for index, corners in enumerate(rooms):
+        if len(corners) > MAX_CORNERS_OF_ROOM:
+            held = f"rooms[{index}] has {len(corners)} corners"
+            raise ValueError(f"{held}, expected {MAX_CORNERS_OF_ROOM} at most")
     with np.errstate(divide="ignore", invalid="ignore"):  # GEOS leaves its flags set
         shapes = _repaired(_polygons(rooms))
         inset = shapely.buffer(shapes, -config.inset, join_style="mitre", mitre_limit=MITRE_LIMIT)
@@ -245,6 +281,8 @@ def _without_overlap(shapes: np.ndarray) -> np.ndarray:
     rank[np.argsort(shapely.area(shapes), kind="stable")] = np.arange(len(shapes))
     great, small = shapely.STRtree(shapes).query(shapes, predicate="intersects")
     great, small = great[rank[great] > rank[small]], small[rank[great] > rank[small]]
+    if len(great) > MAX_OVERLAPS * len(shapes):
+        raise ValueError(f"{len(shapes)} rooms meet in {len(great)} pairs, expected side by side")
     common = shapely.area(shapely.intersection(shapes[great], shapes[small]))
     great, small = great[common > NEGLIGIBLE_AREA], small[common > NEGLIGIBLE_AREA]
     shapes = shapes.copy()
@@ -396,29 +434,25 @@ def _left(vectors: np.ndarray) -> np.ndarray:
     return np.column_stack([-vectors[:, 1], vectors[:, 0]])
 
 
-def _read(path: str | Path) -> str:
-    """Returns the text of a file that may be compressed."""
+def _read(path: str | Path) -> bytes:
+    """Returns what is in a file that may be compressed."""
     suffixes = [suffix.lower() for suffix in Path(path).suffixes]
     if suffixes[-1:] == [".jsonl"]:
-        return read_text(path)
+        return read_bytes(path, MAX_BYTES)
     if suffixes[-2:] != [".jsonl", ".gz"]:
         raise ValueError(f"{path}: the name does not end in .jsonl or .jsonl.gz")
+    packed = BytesIO(read_bytes(path, MAX_BYTES))
     try:
-        return gzip.decompress(Path(path).read_bytes()).decode()
+        data = gzip.GzipFile(fileobj=packed).read(MAX_BYTES + 1)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise ValueError(f"{path}: not a gzip file, or a damaged one ({error})") from error
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}, expected a file to read") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: byte {error.start} is not UTF-8") from error
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{path}: the file is too large, expected {MAX_BYTES} bytes at most")
+    return data
 
 
-def _plan(line: str, where: str) -> Plan:
-    """Returns the floor of one line."""
-    try:
-        document = json.loads(line)
-    except (ValueError, RecursionError) as error:  # also numbers too long, brackets too deep
-        raise ValueError(f"{where}: not JSON ({error})") from error
+def _plan(document: Any, where: str) -> Plan:
+    """Returns the floor of a parsed document."""
     if not isinstance(document, dict):
         raise ValueError(f"{where}: {document!r:.40} is no object, expected one floor")
     kinds = {"building": str, "storey": int, "rooms": list}
@@ -429,6 +463,8 @@ def _plan(line: str, where: str) -> Plan:
             held = f"{document[key]!r:.40}"
             raise ValueError(f"{where}: {key} is {held}, expected {kind.__name__}")
     building, storey, rooms = (document[key] for key in kinds)
+    if not building.isprintable():
+        raise ValueError(f"{where}: building is {building!r:.40}, expected a name of one line")
     corners = (_corners(room, f"{where}: rooms[{index}]") for index, room in enumerate(rooms))
     return Plan(building, f"{building} storey {storey}", tuple(corners))
 

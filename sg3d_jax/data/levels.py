@@ -138,11 +138,15 @@ def _scenes(
     parts = np.array(split_groups([floor.building for floor in floors], seed))
     size = np.array([num_nodes(floor.storey) for floor in floors])
     fits = size <= MAX_NODES.get(level, size.max())
+    if not fits.any():
+        raise ValueError(
+            f"all floors have more than {MAX_NODES[level]} nodes, expected smaller ones"
+        )
     made = [
         scene(index, np.flatnonzero(fits & (parts == parts[index])), _generator(seed, index))
         for index in np.flatnonzero(fits).tolist()
     ]
-    graphs, origins = (list(column) for column in zip(*made, strict=True)) if made else ([], [])
+    graphs, origins = (list(column) for column in zip(*made, strict=True))
     return Imported(graphs, parts[fits].tolist(), origins)
 
 

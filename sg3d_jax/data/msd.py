@@ -28,7 +28,7 @@ import shapely
 from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.data.buildings import Storey
-from sg3d_jax.data.floorplan import Sides, sides_of, storey_of
+from sg3d_jax.data.floorplan import Sides, check_corners, check_metres, sides_of, storey_of
 from sg3d_jax.data.levels import Floor, Floors
 
 COLUMNS: Final = ("apartment_id", "building_id", "floor_id", "roomtype", "geom")
@@ -52,6 +52,8 @@ PASSAGE: Final = 0.04  # metres: rooms that are nearer have no wall between them
 PROBE: Final = 0.01  # metres before an edge of a wall, where a room is looked for
 MIN_PLANES: Final = 2  # of a wall
 MAX_COORDINATE: Final = 1e6  # metres; sites have their own origin
+MAX_BYTES: Final = 2**29  # of the table
+MAX_DISTANCES: Final = 10_000_000  # from edges of walls to planes, of an apartment
 
 
 class Thing(NamedTuple):
@@ -114,6 +116,8 @@ def storey_of_apartment(shapes: Shapes) -> Storey:
     """
     if not len(shapes.rooms):
         raise ValueError("there are no rooms, expected at least one")
+    check_corners(sum(int(shapely.get_num_coordinates(drawn).sum()) for drawn in shapes[::2]))
+    check_metres(shapes.rooms)
     num_parts, _ = connected_components(adjacent_rooms(shapes), directed=False)
     if num_parts > 1:
         raise ValueError(f"the rooms are in {num_parts} parts, expected connected rooms")
@@ -156,6 +160,10 @@ def wall_planes(sides: Sides, shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
     probes = shapely.points(middle - PROBE * edges.normal)
     edge, room = shapely.STRtree(shapes.rooms).query(probes, predicate="within")
     plane_centre = sides.ends.mean(axis=1)
+    if len(edge) * len(plane_centre) > MAX_DISTANCES:
+        raise ValueError(
+            f"{len(edge)} edges of walls are before rooms, expected rooms side by side"
+        )
     distance = np.linalg.norm(middle[edge][:, None] - plane_centre[None], axis=-1)
     plane = np.where(sides.room == room[:, None], distance, np.inf).argmin(axis=1)
     members = np.unique(np.column_stack([plane, edges.room[edge]]), axis=0)
@@ -185,6 +193,8 @@ def _chosen(path: str | Path, max_apartments: int) -> list[str]:
 def _things(path: str | Path) -> Iterator[Thing]:
     """Yields the rows of the table that belong to an apartment."""
     try:
+        if Path(path).stat().st_size > MAX_BYTES:
+            raise ValueError(f"{path}: the file is too large, expected {MAX_BYTES} bytes at most")
         with Path(path).open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, strict=True)
             _check_columns(reader.fieldnames or (), path)
@@ -212,9 +222,12 @@ def _thing(row: Mapping[str | None, str | None], where: str) -> Thing | None:
     apartment, building, floor, kind, geometry = (row[column] or "" for column in COLUMNS)
     if not apartment:
         return None
+    if not f"{floor}{apartment}".isprintable():
+        ids = f"{floor!r:.40} and {apartment!r:.40}"
+        raise ValueError(f"{where}: floor_id and apartment_id are {ids}, expected printable ones")
     if not building or not floor:
         empty = "floor_id" if building else "building_id"
-        raise ValueError(f"{where}: {empty} is empty, expected that of apartment {apartment}")
+        raise ValueError(f"{where}: {empty} is empty, expected that of apartment {apartment:.40}")
     return Thing(apartment, building, floor, kind, geometry, where)
 
 
@@ -224,8 +237,8 @@ def _parse(thing: Thing) -> shapely.Geometry:
     try:
         with np.errstate(invalid="ignore", over="ignore"):  # GEOS leaves its flags set
             geometry = shapely.from_wkt(thing.geometry)
-    except shapely.GEOSException as error:
-        raise ValueError(f"{held}, expected WKT") from error
+    except (shapely.GEOSException, NotImplementedError) as error:  # the latter of curves
+        raise ValueError(f"{held}, expected WKT without curves") from error
     if not (np.abs(shapely.get_coordinates(geometry)) <= MAX_COORDINATE).all():  # false for nan
         raise ValueError(f"{held}, expected metres within {MAX_COORDINATE:g}")
     return geometry

@@ -21,10 +21,11 @@ from sg3d_jax.data.robot import VIEWS, view
 from sg3d_jax.data.synthetic import CityConfig, SyntheticConfig
 from sg3d_jax.data.wide import WideConfig
 from sg3d_jax.io import npz
+from sg3d_jax.io.files import MAX_GRAPHS
 from sg3d_jax.io.npz import Dataset
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PAPER_ONTOLOGY
-from sg3d_jax.scene.validate import validate_graph
+from sg3d_jax.scene.validate import check_observed, validate_graph
 
 
 class PaperRow(NamedTuple):
@@ -202,6 +203,8 @@ def _drawn(name: str, spec: DatasetSpec, num_graphs: int | None, seed: int) -> l
         command = f"sg3d data import {name} FILE -o {name}.npz"
         raise ValueError(f"{name} cannot be generated, expected the file that `{command}` writes")
     count = spec.num_graphs if num_graphs is None else num_graphs
+    if count > MAX_GRAPHS:
+        raise ValueError(f"{name}: {count} graphs are asked for, expected {MAX_GRAPHS} at most")
     return [synthetic.make_scene(spec.config, seed, index) for index in range(count)]
 
 
@@ -246,7 +249,6 @@ def import_file(name: str, path: str | Path, seed: int = 0, like: str | None = N
         such graphs.
     """
     from sg3d_jax.data import floorplan, levels, msd  # they bring shapely
-    from sg3d_jax.io.formats import read_graphs  # brings networkx
 
     if name in DATASETS and like is not None:
         raise ValueError(f"{name} is read as its own files are, expected another name, or no like")
@@ -255,17 +257,39 @@ def import_file(name: str, path: str | Path, seed: int = 0, like: str | None = N
     about: dict[str, Any] = {"name": name, "source": _OWN, "file": path.name}
     about |= {"like": like} if like else {"source": spec.provenance} if spec else {}
     if kind is None or spec is None:
-        return Dataset(read_graphs(path), about)
+        return Dataset(_imported(path), about)
     is_release = kind.startswith("m-") and path.suffix.lower() == ".csv"
     if not (is_release or kind.startswith("p-")):
-        graphs = read_graphs(path)
+        graphs = _imported(path)
         parts = {"parts": ["test"] * len(graphs)} if kind.startswith("r-") else {}
         return _checked(spec, Dataset(graphs, about | parts), path)
     floors, left_out = (msd if is_release else floorplan).read_floors(path)
     level = levels.LEVELS[spec.levels[-1]]
-    graphs, parts, origins = level(floors, seed, rotate=not is_release)
+    try:
+        graphs, parts, origins = level(floors, seed, rotate=not is_release)
+    except ValueError as error:
+        without = f"; {len(left_out)} are left out, first {left_out[0]}" if left_out else ""
+        raise ValueError(f"{path}: {error}{without}") from error
     stated = {"seed": seed, "parts": parts, "origins": origins, "left_out": left_out}
     return _checked(spec, Dataset(graphs, about | stated), path)
+
+
+def _imported(path: Path) -> list[SceneGraph]:
+    """Returns the graphs of a file that is to be a data set: sound ones, in metres."""
+    graphs = _read(path)
+    for index, graph in enumerate(graphs):
+        check_observed(graph, f"{path}: graph {index}")
+    return graphs
+
+
+def _read(path: Path) -> list[SceneGraph]:
+    """Returns the graphs of a file of any format that keep the rules of their hierarchy."""
+    from sg3d_jax.io.formats import read_graphs  # brings networkx
+
+    graphs = read_graphs(path)
+    for index, graph in enumerate(graphs):
+        validate_graph(graph, f"{path}: graph {index}")
+    return graphs
 
 
 def _checked(spec: DatasetSpec, dataset: Dataset, path: Path) -> Dataset:
@@ -306,11 +330,7 @@ def load(name_or_path: str | Path, num_graphs: int | None = None, seed: int = 0)
     if path.suffix.lower() == ".npz":
         graphs, about = npz.load(path)
     else:
-        from sg3d_jax.io.formats import read_graphs
-
-        graphs, about = read_graphs(path), {}
-        for index, graph in enumerate(graphs):
-            validate_graph(graph, f"{path}: graph {index}")
+        graphs, about = _read(path), {}
     lists = {key: about[key] for key in ("parts", "origins") if isinstance(about.get(key), list)}
     cut = {key: values[:num_graphs] for key, values in lists.items()}
     return Dataset(graphs[:num_graphs], about | cut)

@@ -11,14 +11,17 @@ for a list, as JSON. The id of a node is that of the XML; digits mean a number.
 
 import json
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
+from xml.etree import ElementTree
 
 from sg3d_jax.io.attributes import ID, Attributes, Read, further, value_in
-from sg3d_jax.io.files import parsed, replacing
+from sg3d_jax.io.files import parsed, read_bytes, replacing
 from sg3d_jax.io.networkx import NAMES as NODE_NAMES
 from sg3d_jax.io.networkx import read_networkx, to_networkx
 from sg3d_jax.scene.graph import Array, SceneGraph
@@ -36,6 +39,9 @@ VECTORS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 NAMES: Final = (*NODE_NAMES, *chain(*VECTORS.values()))  # what nodes have beside features
 JSON_STARTS: Final = ("[", "{", '"')
 UNREADABLE: Final = ("self", "node_for_adding")  # names that networkx's reader trips over
+NUMERIC: Final = ("int", "integer", "long", "float", "double")  # types of data
+DATA: Final = "{*}data"  # children so called, in whatever namespace
+MAX_BYTES: Final = 2**24  # of a file; parsed, it takes up to fifty times as much
 
 
 def write_graphml(
@@ -78,19 +84,53 @@ def read_graphml(path: str | Path) -> Read:
     """
     import networkx
 
+    data = read_bytes(path, MAX_BYTES)
     try:
-        with Path(path).open("rb") as file:
-            made = networkx.read_graphml(file)
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}, expected a file to read") from error
+        root = ElementTree.fromstring(data)
+        made = networkx.read_graphml(BytesIO(data))
     except Exception as error:  # networkx lets through whatever its parser meets with
         raise ValueError(f"{path}: not GraphML that can be read ({error!r:.80})") from error
+    _check(root, f"{path}")
     if "ontology" in made.graph:
         made.graph["ontology"] = parsed(f"{made.graph['ontology']}", f"{path}: ontology")
     for name, of_node in made.nodes.items():
         _gather(of_node, f"{path}: node {name!r:.40}")
     read = read_networkx(made, f"{path}")
     return read._replace(attributes=[_read(of_node) for of_node in read.attributes])
+
+
+def _check(root: ElementTree.Element, where: str) -> None:
+    """Refuses what networkx reads as if it were not there.
+
+    Raises:
+      ValueError: there are several graphs, an id or an attribute is there twice, or a number is in
+        digits that only Python reads.
+    """
+    elements = [(_tag(element), element) for element in root.iter()]
+    graphs = sum(tag == "graph" for tag, _ in elements)
+    if graphs != 1:
+        raise ValueError(f"{where}: holds {graphs} graphs, expected one")
+    for kind in ("key", "node"):
+        _check_once([one.get("id") for tag, one in elements if tag == kind], f"{where}: {kind}")
+    keys = {one.get("id"): one for tag, one in elements if tag == "key"}
+    for tag, element in elements:
+        here = f"{where}: {tag} {element.get('id')!r:.40}"
+        data = [(keys.get(one.get("key"), one), one.text or "") for one in element.iterfind(DATA)]
+        _check_once([key.get("attr.name") for key, _ in data], f"{here} has")
+        for key, text in data:
+            if key.get("attr.type") in NUMERIC and ("_" in text or not text.isascii()):
+                raise ValueError(f"{here} has {text!r:.40}, expected a number")
+
+
+def _tag(element: ElementTree.Element) -> str:
+    """Returns the name of an element, without its namespace; of a comment, nothing."""
+    return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
+
+
+def _check_once(values: Sequence[Any], where: str) -> None:
+    for value, count in Counter(values).most_common(1):
+        if count > 1:
+            raise ValueError(f"{where} {value!r:.40} twice, expected once")
 
 
 def _written(attributes: Mapping[str, Any]) -> dict[str, Any]:

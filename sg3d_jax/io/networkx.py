@@ -162,6 +162,8 @@ def read_node_link(document: Any, where: str = "graph") -> Read:
         raise ValueError(f"{where}: there is {_text(document)}, expected an object")
     if document.get("multigraph"):
         raise ValueError(f"{where}: multigraph is true, expected one edge a pair of nodes")
+    if document.get("edges") is not None and document.get("links"):
+        raise ValueError(f"{where}: there are both edges and links, expected either")
     links = "links" if "edges" not in document and "links" in document else "edges"
     nodes = _objects(document, "nodes", (ID,), where)
     edges = _objects(document, links, ("source", "target"), where)

@@ -3,7 +3,8 @@
 The arrays of all graphs are concatenated; graph g owns nodes `node_offset[g]:node_offset[g + 1]`
 and edges `edge_offset[g]:edge_offset[g + 1]`. An edge is a pair of node indices of its own graph
 and stands for both directions. `header` is a JSON object: what the data are and how they were made,
-and their `ontology`, if that is not the paper's. A feature that a file lacks is zero.
+and their `ontology`, if that is not the paper's. A feature that a file lacks is zero; an array of
+any other name is refused.
 """
 
 import json
@@ -13,7 +14,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.io.files import replacing
+from sg3d_jax.io.archive import read_arrays
+from sg3d_jax.io.files import MAX_GRAPHS, parsed, replacing
 from sg3d_jax.io.records import ontology_in, stated
 from sg3d_jax.scene.graph import SceneGraph, make_graph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import FEATURES, NUM_RELATIONS, PART_OF, PROXIMITY, Ontology
@@ -61,10 +63,12 @@ def save(
       rules: whether edges must respect the hierarchy, as in `validate_graph`.
 
     Raises:
-      ValueError: a graph is not sound or has another ontology than the first, or the file cannot
-        be written; nothing is written.
+      ValueError: a graph is not sound or has another ontology than the first, there are too many,
+        or there is no place for the file; nothing is written.
+      OSError: the file cannot be written.
     """
     path = Path(path)
+    _check_number(len(graphs), path)
     for index, graph in enumerate(graphs):
         validate_graph(graph, f"{path}: graph {index}", rules)
         if ontology_of(graph) != ontology_of(graphs[0]):
@@ -91,12 +95,14 @@ def load(path: str | Path, rules: bool = True) -> Dataset:
     Raises:
       ValueError: one sentence that names the file and, where it applies, graph and field.
     """
-    content = _read(Path(path))
+    content = read_arrays(path, ("header", *FIELDS).__contains__)
     header = _header(content, path)
     ontology = ontology_in(header, f"{path}: header")
     arrays = _checked(content, path)
+    num_graphs = len(arrays["node_offset"]) - 1
+    _check_number(num_graphs, path)
     graphs = []
-    for index in range(len(arrays["node_offset"]) - 1):
+    for index in range(num_graphs):
         where = f"{path}: graph {index}"
         graph = _graph(arrays, index, ontology, where)
         validate_graph(graph, where, rules)
@@ -120,25 +126,17 @@ def _concatenate(graphs: Sequence[SceneGraph]) -> Arrays:
     }
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
-    """Returns every array of an archive whose checksums are right."""
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            if damaged := archive.zip.testzip():
-                raise ValueError(f"the checksum of {damaged} is wrong")
-            return {name: archive[name] for name in archive.files}
-    except Exception as error:  # a damaged archive raises almost anything
-        raise ValueError(f"{path}: not an npz file of plain arrays, or a damaged one") from error
+def _check_number(num_graphs: int, path: str | Path) -> None:
+    if num_graphs > MAX_GRAPHS:
+        raise ValueError(f"{path}: there are {num_graphs} graphs, expected {MAX_GRAPHS} at most")
 
 
 def _header(content: Mapping[str, np.ndarray], path: str | Path) -> dict[str, Any]:
     """Returns the header of a file of this version."""
     try:
-        header = json.loads(str(content["header"]))
+        header = parsed(str(content["header"]), "header")
         version, units = header["schema"], header["units"]
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         expected = "a JSON object with schema and units, as sg3d_jax writes it"
         raise ValueError(f"{path}: header is missing or unreadable, expected {expected}") from error
     for name, value, expected in (("schema", version, VERSION), ("units", units, UNITS)):

@@ -9,12 +9,16 @@ list, or a word that plain data do without, is refused.
 
 import pickletools
 import struct
+import sys
 from collections.abc import Callable, Mapping, Set
 from io import BytesIO
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 MAX_BITS: Final = 64  # longer integers name no node, and Python refuses to print some of them
+MAX_STACK: Final = 1_000_000  # values at once; picklers put a thousand there before they use them
+MAX_MEMORY: Final = 3_000_000_000  # bytes; the largest published set counts nearly as many
+SLOT: Final = 8  # bytes of a place in a list
 
 
 class Name(NamedTuple):
@@ -44,7 +48,9 @@ class Asked:
         return f"<{self.name!r}>"
 
 
-def read_pickle(data: bytes, admitted: Set[Name], where: str, expected: str) -> Any:
+def read_pickle(
+    data: bytes, admitted: Set[Name], where: str, expected: str, most: int = MAX_MEMORY
+) -> Any:
     """Returns what a pickle describes, without making any of its objects.
 
     Args:
@@ -52,15 +58,16 @@ def read_pickle(data: bytes, admitted: Set[Name], where: str, expected: str) -> 
       admitted: the names that it may ask for.
       where: what an error starts with, such as "m-f.zip".
       expected: what the pickle ought to hold, for the error.
+      most: bytes that the pickle and what it describes may take.
 
     Returns:
       Plain values, `Asked` for each object and `Name` for each class or function. Sets come as
       lists. Containers may contain themselves.
 
     Raises:
-      ValueError: the pickle asks for something else, is cut short, or is none.
+      ValueError: the pickle asks for something else, is cut short or too large, or is none.
     """
-    machine = _Machine(admitted)
+    machine = _Machine(admitted, most - len(data))
     try:
         end = _run(machine, data)
         (value,) = machine.stack
@@ -79,13 +86,19 @@ class _RefusedError(Exception):
 
 
 class _Machine:
-    """The stack, where its marks are, and the memo of what is used again."""
+    """The stack, where its marks are, the memo of what is used again, and the memory left."""
 
-    def __init__(self, admitted: Set[Name]) -> None:
+    def __init__(self, admitted: Set[Name], room: int) -> None:
         self.admitted = admitted
+        self.room = room
         self.stack: list[Any] = []
         self.marks: list[int] = []
         self.memo: list[Any] = []
+
+    def push(self, value: Any) -> None:
+        """Pushes a new value."""
+        self.stack.append(value)
+        self.room -= sys.getsizeof(value)
 
     def pop(self, kind: type) -> Any:
         """Pops a value that has to be of one type."""
@@ -117,6 +130,10 @@ def _run(machine: _Machine, data: bytes) -> int:
             stream.seek(place)
             word(machine, read(stream))
             place = stream.tell()
+        if machine.room < 0:
+            raise _RefusedError("describes more than fits into memory")
+        if len(machine.stack) > MAX_STACK:
+            raise _RefusedError(f"has more than {MAX_STACK} values on its stack")
     return place + 1
 
 
@@ -127,27 +144,27 @@ def _of(kind: type, value: Any) -> Any:
 
 
 def _constant(machine: _Machine, argument: Any) -> None:
-    machine.stack.append(argument)
+    machine.push(argument)
 
 
 def _integer(machine: _Machine, argument: int) -> None:
     if argument.bit_length() > MAX_BITS:
         raise _RefusedError(f"holds an integer of {argument.bit_length()} bits")
-    machine.stack.append(argument)
+    machine.push(argument)
 
 
 def _new(make: Callable[[], Any]) -> _Word:
-    return lambda machine, _: machine.stack.append(make())
+    return lambda machine, _: machine.push(make())
 
 
 def _from_mark(make: Callable[[list[Any]], Any]) -> _Word:
-    return lambda machine, _: machine.stack.append(make(machine.pop_to_mark()))
+    return lambda machine, _: machine.push(make(machine.pop_to_mark()))
 
 
 def _tuple(size: int) -> _Word:
     def word(machine: _Machine, _: Any) -> None:
         values = [machine.stack.pop() for _ in range(size)]
-        machine.stack.append(tuple(reversed(values)))
+        machine.push(tuple(reversed(values)))
 
     return word
 
@@ -161,28 +178,34 @@ def _mapping(items: list[Any], mapping: dict[Any, Any] | None = None) -> dict[An
     return mapping
 
 
+def _grow(machine: _Machine, kind: type, items: list[Any]) -> None:
+    """Puts items into the container on top of the stack."""
+    container = _of(kind, machine.stack[-1])
+    before = sys.getsizeof(container)
+    _mapping(items, container) if kind is dict else container.extend(items)
+    machine.room -= sys.getsizeof(container) - before
+
+
 def _set_items(machine: _Machine, _: Any) -> None:
-    items = machine.pop_to_mark()
-    _mapping(items, _of(dict, machine.stack[-1]))
+    _grow(machine, dict, machine.pop_to_mark())
 
 
 def _set_item(machine: _Machine, _: Any) -> None:
     value, key = machine.stack.pop(), machine.stack.pop()
-    _mapping([key, value], _of(dict, machine.stack[-1]))
+    _grow(machine, dict, [key, value])
 
 
 def _extend(machine: _Machine, _: Any) -> None:
-    items = machine.pop_to_mark()
-    _of(list, machine.stack[-1]).extend(items)
+    _grow(machine, list, machine.pop_to_mark())
 
 
 def _append(machine: _Machine, _: Any) -> None:
-    item = machine.stack.pop()
-    _of(list, machine.stack[-1]).append(item)
+    _grow(machine, list, [machine.stack.pop()])
 
 
 def _mark(machine: _Machine, _: Any) -> None:
     machine.marks.append(len(machine.stack))
+    machine.room -= SLOT
 
 
 def _drop(machine: _Machine, _: Any) -> None:
@@ -201,11 +224,12 @@ def _repeat(machine: _Machine, _: Any) -> None:
 def _remember(machine: _Machine, index: int) -> None:
     if index != len(machine.memo):  # picklers count; a number of their choice could be any size
         raise IndexError(index)
-    machine.memo.append(machine.stack[-1])
+    _remember_next(machine, None)
 
 
 def _remember_next(machine: _Machine, _: Any) -> None:
     machine.memo.append(machine.stack[-1])
+    machine.room -= SLOT
 
 
 def _recall(machine: _Machine, index: int) -> None:
@@ -218,7 +242,7 @@ def _name(machine: _Machine, argument: str) -> None:
     module, _, name = argument.partition(" ")
     if Name(module, name) not in machine.admitted:
         raise _RefusedError(f"asks for {Name(module, name)!r:.80}")
-    machine.stack.append(Name(module, name))
+    machine.push(Name(module, name))
 
 
 def _name_on_stack(machine: _Machine, _: Any) -> None:
@@ -230,7 +254,7 @@ def _ask(machine: _Machine, _: Any) -> None:
     arguments, name = machine.pop(tuple), machine.pop(Name)
     if name.name == "_reconstructor":  # how protocols 0 and 1 say: an empty object of this class
         name, arguments = _of(Name, arguments[0]), ()
-    machine.stack.append(Asked(name, arguments))
+    machine.push(Asked(name, arguments))
 
 
 def _state(machine: _Machine, _: Any) -> None:

@@ -201,9 +201,11 @@ def _cells(cells: list[str], count: int, where: str) -> list[str]:
 
 def _number(text: str, where: str) -> float:
     try:
-        return float(text)
-    except ValueError as error:
-        raise ValueError(f"{where} is {text!r:.40}, expected a number") from error
+        if text.isascii() and "_" not in text:  # Python reads 1_0 and the digits of any script
+            return float(text)
+    except ValueError:
+        pass
+    raise ValueError(f"{where} is {text!r:.40}, expected a number")
 
 
 def _attributes(record: dict[str, str]) -> dict[str, int | float | str]:

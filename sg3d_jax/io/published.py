@@ -25,13 +25,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from sg3d_jax.io.files import read_bytes
 from sg3d_jax.io.networkx import read_nodes_and_edges
 from sg3d_jax.io.pickles import Asked, Name, read_pickle
 from sg3d_jax.scene.graph import SceneGraph, subgraph
 
 EXPECTED: Final = "a pickled list of networkx graphs"
 SUFFIXES: Final = (".pkl", ".pickle", ".p", ".gpickle")
-MAX_BYTES: Final = 2**31  # of the pickle; the largest published one is a fraction of that
+MAX_BYTES: Final = 2**29  # of the pickle; the largest published one has about 300 million
 FIELDS: Final = ("type", "center", "normal", "length", "limits")
 
 _GRAPH: Final = Name("networkx.classes.graph", "Graph")
@@ -94,10 +95,7 @@ def read_published(path: str | Path) -> list[SceneGraph]:
 
 def _pickle_of(path: str | Path) -> bytes:
     """Returns the bytes of the pickle in a zip, or of the file itself."""
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}, expected a file to read") from error
+    data = read_bytes(path, MAX_BYTES)
     if not data:
         raise ValueError(f"{path}: the file is empty, expected {EXPECTED}")
     if data.startswith(b"version https://git-lfs"):

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
 from sg3d_jax.scene.ontology import Ontology
+from sg3d_jax.scene.validate import seems_not_in_metres
 
 NUMERALS: Final = ("no", "one", "two", "three", "four", "five", "six")
 
@@ -27,6 +28,7 @@ class Oddity(enum.Enum):
     TOO_FEW_PARTS = enum.auto()  # it has fewer parts than its concept should
     APART = enum.auto()  # it is outside the largest piece that part-of edges hold together
     REPEATED = enum.auto()  # observed twice: position and features are those of another
+    IMMENSE = enum.auto()  # its graph is larger than any in metres
 
 
 class Odd(NamedTuple):
@@ -49,6 +51,8 @@ class Odd(NamedTuple):
                 return "node apart from the rest"
             case Oddity.REPEATED:
                 return f"repeated {self.concept}"
+            case Oddity.IMMENSE:
+                return "node of a graph too large to be in metres"
 
 
 class Remark(NamedTuple):
@@ -69,7 +73,8 @@ def check(graphs: Sequence[SceneGraph]) -> list[Remark]:
       for, or "with more than one";
     - a wall with fewer than two planes, an "empty" room, floor, building or city;
     - a node outside the largest piece that part-of edges hold together ("apart from the rest");
-    - two planes with equal centroid, normal and width ("repeated plane").
+    - two planes with equal centroid, normal and width ("repeated plane");
+    - all nodes of a graph that spans kilometres ("too large to be in metres").
 
     Args:
       graphs: host graphs of one ontology.
@@ -92,6 +97,8 @@ def oddities(graph: SceneGraph) -> Counter[Odd]:
     found[Odd(Oddity.APART)] += _num_apart(graph)
     for odd, nodes in _repeated(graph):
         found[odd] += nodes
+    if seems_not_in_metres(graph):
+        found[Odd(Oddity.IMMENSE)] += len(graph.nodes.label)
     return +found
 
 

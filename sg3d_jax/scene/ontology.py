@@ -91,6 +91,8 @@ class Ontology:
         """Refuses what is no ontology."""
         for field in ("name", "letter", "layer"):
             values = [getattr(concept, field) for concept in self.concepts]
+            if odd := [value for value in values if not value.isprintable()]:
+                raise ValueError(f"ontology: {field} is {odd[0]!r:.40}, expected one line")
             if repeated := [value for value in values if values.count(value) > 1]:
                 raise ValueError(f"ontology: {field} {repeated[0]!r} is there twice, expected once")
         for concept in self.concepts:
@@ -190,10 +192,6 @@ class Ontology:
     def to_dict(self) -> dict[str, Any]:
         """Returns the ontology as JSON values."""
         return dataclasses.asdict(self)
-
-    def __reduce__(self) -> tuple[type["Ontology"], tuple[Any, ...]]:
-        """Pickles without what is cached: hashes of strings are those of one process."""
-        return Ontology, (self.concepts, self.rules)
 
     def __hash__(self) -> int:
         """Hashes once: every call of a compiled function asks for it."""

@@ -15,6 +15,7 @@ UNIT_TOLERANCE: Final = 1e-3
 LEAST_OBSERVED: Final = 2
 MAX_MEDIAN_WIDTH: Final = 100.0  # metres; a median wall of 100 m is 10 cm in millimetres
 MAX_EXTENT: Final = 2000.0  # metres
+MAX_COORDINATE: Final = 1e9  # metres; float64 counts micrometres there, and no square overflows
 
 
 def validate_graph(graph: SceneGraph, where: str, rules: bool = True) -> None:
@@ -95,6 +96,8 @@ def _check_intake(
     columns = {name: np.asarray(column)[rows] for name, column in columns.items()}
     for name, values in columns.items():
         _refuse(where, plural, name, values, ~np.isfinite(values), "finite numbers")
+        far = (np.abs(values) > MAX_COORDINATE) & (name != "normal")  # of which the way counts
+        _refuse(where, plural, name, values, far, f"numbers within {MAX_COORDINATE:g}")
     if "normal" in features:
         normal = columns["normal"]
         _refuse(where, plural, "normal", normal, ~normal.any(axis=-1), "length 1")
@@ -138,6 +141,8 @@ def _check_nodes(graph: SceneGraph, where: str, unit: bool) -> None:
     for name in ("position", *FEATURES):
         values = np.asarray(getattr(nodes, name))
         _refuse(where, "nodes", name, values, ~np.isfinite(values), "finite numbers")
+        far = (np.abs(values) > MAX_COORDINATE) & (name != "normal")  # of which the way counts
+        _refuse(where, "nodes", name, values, far, f"numbers within {MAX_COORDINATE:g}")
     facing, wide = (ontology.has(name)[label] for name in ("normal", "width"))
     normal, width = np.asarray(nodes.normal), np.asarray(nodes.width)
     skewed = ~_is_unit(normal) if unit else ~normal.any(axis=-1)
@@ -199,10 +204,22 @@ def _check_rules(graph: SceneGraph, where: str) -> None:
         _refuse_edge(where, ends, wrong, problem)
 
 
-def _check_metres(position: np.ndarray, width: np.ndarray, where: str, plural: str) -> None:
+def seems_not_in_metres(graph: SceneGraph) -> bool:
+    """Returns whether a sound graph is larger than any in metres."""
+    nodes, observed = graph.nodes, np.asarray(graph.nodes.observed)
+    extent, median = _size(np.asarray(nodes.position), np.asarray(nodes.width)[observed])
+    return median > MAX_MEDIAN_WIDTH or extent > MAX_EXTENT
+
+
+def _size(position: np.ndarray, width: np.ndarray) -> tuple[float, float]:
+    """Returns how far positions are apart, and the median width."""
     with np.errstate(over="ignore"):
-        extent = float(np.ptp(position, axis=0).max())
-    median = float(np.median(width[width > 0])) if (width > 0).any() else 0.0
+        extent = float(np.ptp(position, axis=0).max()) if len(position) else 0.0
+    return extent, float(np.median(width[width > 0])) if (width > 0).any() else 0.0
+
+
+def _check_metres(position: np.ndarray, width: np.ndarray, where: str, plural: str) -> None:
+    extent, median = _size(position, width)
     if median > MAX_MEDIAN_WIDTH or extent > MAX_EXTENT:
         raise ValueError(
             f"{where}: {plural} spans {extent:.6g} with a median width of {median:.6g}, which "

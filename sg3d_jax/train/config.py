@@ -11,6 +11,7 @@ from sg3d_jax.fill.fd4 import FD4Config
 from sg3d_jax.flagg.step import FlaggConfig
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology, ontology_from_dict
 from sg3d_jax.train.methods import METHODS, method_of
+from sg3d_jax.train.values import check_type, check_values, hints_of
 
 T = TypeVar("T")
 NoOption = Annotated[T, tyro.conf.Fixed, tyro.conf.Suppress]  # said in a file, not at the shell
@@ -44,7 +45,7 @@ class DataConfig:
     def _part(self, text: str) -> "DataConfig":
         base, at, seen = text.partition("@")
         name, colon, count = base.rpartition(":")
-        if not (colon and count.isdigit()):
+        if not (colon and count.isascii() and count.isdigit()):
             return dataclasses.replace(self, name=text)
         return dataclasses.replace(self, name=name + at + seen, num_graphs=int(count))
 
@@ -101,22 +102,26 @@ def to_json(config: Config) -> str:
     return json.dumps(to_dict(config), indent=2)
 
 
-def from_dict(values: dict[str, Any]) -> Config:
+def from_dict(values: Any) -> Config:
     """Rebuilds a configuration from `to_dict`, or from its JSON.
 
     Raises:
-      ValueError: the method or a field is unknown.
+      ValueError: the method or a field is unknown, or a field has a value that none can have.
     """
+    if not isinstance(values, dict):
+        raise ValueError(f"the configuration is {values!r:.40}, expected an object")
     fields = dict(values)
     method = fields.pop("method", Config().method)
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise ValueError(
             f"unknown method {method!r}, expected one of {', '.join(METHODS)}, or one of your own: "
             "run the file that registers it first (--code FILE)"
         )
     ontology = ontology_from_dict(fields.pop("ontology", None))
     default = Config(ontology=ontology, model=METHODS[method].config())
-    return _rebuild(default, fields)
+    config = _rebuild(default, fields)
+    check_values(config)
+    return config
 
 
 def check(config: Config) -> None:
@@ -125,17 +130,12 @@ def check(config: Config) -> None:
     Raises:
       ValueError: one sentence that names the field and what was expected.
     """
-    for name in ("steps", "batch", "steps_per_call", "validate_every", "validation_graphs"):
-        if getattr(config, name) < 1:
-            raise ValueError(f"{name} is {getattr(config, name)}, expected at least 1")
+    check_values(config)
     for name in ("steps", "validate_every"):
         value, unit = getattr(config, name), config.steps_per_call
         if value % unit:
             raise ValueError(f"{name} is {value}, expected a multiple of steps_per_call, {unit}")
-    grows = METHODS[config.method].grows
-    if grows != (config.flagg is not None):
-        expected = "how it grows" if grows else "None, because it does not grow"
-        raise ValueError(f"flagg of {config.method} is {config.flagg}, expected {expected}")
+    check_growth(config)
     warmup, capacities = config.optimiser.warmup_steps, config.capacities
     if not 0 <= warmup < config.steps:
         raise ValueError(f"optimiser.warmup_steps is {warmup}, expected 0 to {config.steps - 1}")
@@ -143,8 +143,22 @@ def check(config: Config) -> None:
         raise ValueError(f"capacities is {list(capacities)}, expected increasing node counts")
 
 
-def _rebuild(default: Any, values: dict[str, Any]) -> Any:
+def check_growth(config: Config) -> None:
+    """Refuses a configuration that says how a model grows that does not, or does not say how.
+
+    Raises:
+      ValueError: one sentence.
+    """
+    grows = METHODS[config.method].grows
+    if grows != (config.flagg is not None):
+        expected = "how it grows" if grows else "None, because it does not grow"
+        raise ValueError(f"flagg of {config.method} is {config.flagg}, expected {expected}")
+
+
+def _rebuild(default: Any, values: Any) -> Any:
     """Returns a dataclass with the given fields, and its dataclasses likewise; lists are tuples."""
+    if not isinstance(values, dict):
+        raise ValueError(f"{type(default).__name__} is {values!r:.40}, expected an object")
     fields = {field.name: getattr(default, field.name) for field in dataclasses.fields(default)}
     unknown = sorted(values.keys() - fields.keys())
     if unknown:
@@ -158,4 +172,6 @@ def _rebuild(default: Any, values: dict[str, Any]) -> Any:
         else (tuple(value) if isinstance(value, list) else value)
         for name, value in values.items()
     }
+    for name, value in chosen.items():
+        check_type(f"{type(default).__name__}.{name}", value, hints_of(default)[name])
     return dataclasses.replace(default, **chosen)

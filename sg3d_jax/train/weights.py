@@ -4,7 +4,7 @@ The file describes itself: numpy alone can read it, and no pickle is involved.
 """
 
 import dataclasses
-import json
+import functools
 from collections.abc import Iterator
 from difflib import get_close_matches
 from importlib import resources
@@ -17,10 +17,13 @@ import numpy as np
 
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.infer.lanes import Model
-from sg3d_jax.io.files import replacing
+from sg3d_jax.io.archive import read_arrays
+from sg3d_jax.io.files import parsed, replacing
+from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.padding import Capacity, pad
 from sg3d_jax.train import DEFAULT_WEIGHTS
 from sg3d_jax.train.card import Card, card_from_json, card_to_json
-from sg3d_jax.train.config import Config, from_dict, to_json
+from sg3d_jax.train.config import Config, check_growth, from_dict, to_json
 from sg3d_jax.train.methods import (
     METHODS,
     Measured,
@@ -29,8 +32,11 @@ from sg3d_jax.train.methods import (
     with_sampling_steps,
 )
 from sg3d_jax.train.upgrade import FORMAT_2, upgraded
+from sg3d_jax.train.values import check_type, hints_of
 
 FORMAT = "sg3d_jax weights 3"
+TEXTS = ("format", "config", "card")
+ARRAYS = ("statistics/", "params/")  # what the names of arrays begin with
 
 
 class Trained(NamedTuple):
@@ -48,7 +54,8 @@ def save_weights(
     path: Path, config: Config, statistics: Measured, params: Params, card: Card | None = None
 ) -> Path:
     """Writes weights to an npz file, under a temporary name first."""
-    content: dict[str, Any] = dict(_flat(statistics, "statistics")) | dict(_flat(params, "params"))
+    leaves = {**dict(_flat(statistics, "statistics")), **dict(_flat(params, "params"))}
+    content: dict[str, Any] = {name: np.asarray(leaf) for name, leaf in leaves.items()}
     content |= {} if card is None else {"card": card_to_json(card)}
     with replacing(path) as temporary:
         np.savez_compressed(temporary, format=FORMAT, config=to_json(config), **content)
@@ -123,24 +130,31 @@ def with_diffusion_steps(trained: Trained, steps: int) -> Trained:
 
 
 def _read(path: Path, name: str) -> Trained:
-    """Reads one weights file."""
+    """Reads one weights file; of a file of the user's, every parameter is looked at."""
+    arrays = read_arrays(path, lambda name: name in TEXTS or name.startswith(ARRAYS))
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            arrays = {key: content[key] for key in content.files}
-        about = json.loads(str(arrays["config"]))
+        about = parsed(str(arrays["config"]), "config")
         if str(arrays["format"]) == FORMAT_2:
             arrays, about = upgraded(arrays, about)
         elif str(arrays["format"]) != FORMAT:
             raise ValueError
-        config = from_dict(about)
-        statistics = _statistics(METHODS[config.method].statistics, arrays)
-        params = params_of(config.model, _nested(arrays, "params/"))
+        method = METHODS.get(about.get("method", Config().method))
+        statistics: Any = None if method is None else _statistics(method.statistics, arrays)
         card = card_from_json(str(arrays["card"])) if "card" in arrays else None
     except Exception as error:
-        foreign = isinstance(error, ValueError) and "unknown method" in str(error)
-        problem = str(error) if foreign else "not a weights file of this version of sg3d_jax"
-        raise ValueError(f"{path}: {problem}") from error
-    model = build_model(config.model, config.flagg, statistics, config.ontology)
+        expected = "a weights file of this version of sg3d_jax"
+        raise ValueError(f"{path}: not {expected}") from error
+    try:
+        config = from_dict(about)
+        check_growth(config)
+        _check_card(card)
+        _check_statistics(statistics, config)
+        model = build_model(config.model, config.flagg, statistics, config.ontology)
+        if name not in names():
+            _check_params(arrays, model)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    params = params_of(config.model, _nested(arrays, "params/"))
     return Trained(model, params, config, statistics, name, card)
 
 
@@ -155,11 +169,65 @@ def _statistics(kind: type[Measured], arrays: dict[str, np.ndarray]) -> Measured
     return kind(**values)
 
 
-def _flat(tree: Any, path: str) -> Iterator[tuple[str, np.ndarray]]:
+def _check_statistics(statistics: Any, config: Config) -> None:
+    """Refuses statistics that are no numbers, or of other concepts."""
+    for field, value in statistics._asdict().items():
+        check_type(f"statistics/{field}", value, hints_of(statistics)[field])
+        lengths = {"label": config.ontology.num_concepts, "block_edge": 2, "cross_edge": 2}
+        if isinstance(value, tuple) and len(value) != lengths[field]:
+            problem = f"has {len(value)} numbers, expected {lengths[field]}"
+            raise ValueError(f"statistics/{field} {problem}")
+
+
+def _check_card(card: Card | None) -> None:
+    """Refuses a card that does not say what cards say."""
+    if card is None:
+        return
+    for part in (card, *card.scores):
+        for field, hint in hints_of(part).items():
+            check_type(f"{field} of the card", getattr(part, field), hint)
+
+
+def _check_params(arrays: dict[str, np.ndarray], model: Any) -> None:
+    """Refuses parameters that are not those of a model, or no numbers.
+
+    Raises:
+      ValueError: one sentence that names the parameter.
+    """
+    held = {name: array for name, array in arrays.items() if name.startswith("params/")}
+    expected = _shapes(model)
+    for name in sorted(held.keys() ^ expected.keys()):
+        problem = "is unknown, expected none" if name in held else "is missing, expected"
+        raise ValueError(f"parameter {name} {problem} of its configuration")
+    for name, array in held.items():
+        if array.shape != expected[name] or array.dtype not in (np.float16, np.float32):
+            found, wanted = f"{array.dtype}{list(array.shape)}", f"float32{list(expected[name])}"
+            raise ValueError(f"parameter {name} is {found}, expected {wanted}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"parameter {name} is not finite, expected finite numbers")
+
+
+@functools.lru_cache
+def _shapes(model: Any) -> dict[str, tuple[int, ...]]:
+    """Returns the shapes of the parameters of a model, by their names in a file.
+
+    Raises:
+      ValueError: there is no such model.
+    """
+    nothing = make_graph([], np.zeros((0, 3)), ontology=model.ontology)
+    graph = pad(nothing, Capacity(nodes=16, edges=16))
+    try:
+        shapes = jax.eval_shape(model.init, jax.random.key(0), graph)
+    except Exception as error:  # whatever a network of impossible sizes runs into
+        raise ValueError("its configuration is of no model, expected sizes that fit") from error
+    return {name: leaf.shape for name, leaf in _flat(shapes, "params")}
+
+
+def _flat(tree: Any, path: str) -> Iterator[tuple[str, Any]]:
     """Yields the leaves of dictionaries and NamedTuples with their paths, separated by slashes."""
     branches = tree._asdict() if hasattr(tree, "_asdict") else tree
     if not isinstance(branches, dict):
-        yield path, np.asarray(branches)
+        yield path, branches
         return
     for name, branch in branches.items():
         yield from _flat(branch, f"{path}/{name}")

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sg3d_jax.data import floorplan
 from sg3d_jax.data.buildings import Building, city_graph
 from sg3d_jax.data.floorplan import (
     FloorplanConfig,
@@ -412,6 +413,7 @@ BROKEN = {
     r"poly\[0\] is \[inf, 2\], expected metres": with_poly([[float("inf"), 2], [1, 1], [0, 2]]),
     r"poly\[0\] is \[12000, 2\], expected metres": with_poly([[12000, 2], [1, 1], [0, 2]]),
     "is no object, expected one floor": [1, 2],
+    r"building is 'a\\nb', expected a name of one line": changed(building="a\nb"),
 }
 
 
@@ -449,31 +451,37 @@ def test_a_wrong_file_is_refused_with_one_sentence(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["a.jsonl", "a.jsonl.gz"])
-def test_a_missing_file_is_refused(tmp_path, name):
-    with pytest.raises(ValueError, match="No such file"):
+def test_a_file_is_refused_before_it_fills_the_memory(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(floorplan, "MAX_BYTES", 2000)
+    content = b" " * 100_000 + TEXT
+    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith("gz") else content)
+    with pytest.raises(ValueError, match=rf"{name}: the file is too large, expected 2000 bytes"):
         read_floors(tmp_path / name)
 
 
-@given(st.data(), st.booleans())
-@settings(
-    max_examples=80,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
-def test_a_corrupted_file_is_refused_or_read_as_sound_floors(tmp_path, data, packed):
-    content = bytearray(gzip.compress(TEXT, mtime=0) if packed else TEXT)
-    for _ in range(data.draw(st.integers(1, 3))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    content = content[: data.draw(st.integers(len(content) // 2, len(content)))]
-    path = tmp_path / ("floors.jsonl.gz" if packed else "floors.jsonl")
-    path.write_bytes(content)
-    try:
-        floors, _ = read_floors(path)
-    except ValueError as error:
-        assert str(error).startswith(str(path))  # noqa: PT017 (either outcome is right)
-        return
-    for read in floors:
-        validate_graph(city_graph([Building((read.storey,), (0.0,))], FLOOR), read.origin)
+BOX = np.array([[0.0, 0], [4, 0], [4, 3], [0, 3]])
+LARGE = {
+    "the median room has 1.2e.07 square metres, expected 0.2 to 10000": [
+        1000 * BOX,
+        1000 * (BOX + np.array([4.2, 0])),
+    ],
+    "the median room has .* square metres, expected 0.2": [BOX / 9, BOX / 9 + 0.6],
+    "rooms.1. has 600 corners, expected 500 at most": [BOX, np.tile(BOX, (150, 1))],
+    "there are 4400 corners, expected at most 4000": [BOX + 5 * i for i in range(1100)],
+    "110 rooms meet in 5995 pairs, expected side by side": [BOX + 0.01 * i for i in range(110)],
+}
+
+
+@pytest.mark.parametrize("reason", LARGE)
+def test_a_floor_in_another_unit_or_too_large_to_compare_its_sides_is_refused(reason):
+    with pytest.raises(ValueError, match=reason):
+        storey_of_rooms(LARGE[reason])
+
+
+@pytest.mark.parametrize("name", ["a.jsonl", "a.jsonl.gz"])
+def test_a_missing_file_is_refused(tmp_path, name):
+    with pytest.raises(ValueError, match="No such file"):
+        read_floors(tmp_path / name)
 
 
 # --- real floor plans ---

@@ -156,6 +156,7 @@ def test_too_few_buildings_are_refused(scenes):
         scenes(FLOORS[:6])
 
 
-def test_where_all_floors_are_too_large_there_are_no_scenes():
+def test_floors_that_are_all_too_large_are_refused():
     large = [Floor(f"b{i}", f"b{i} storey 0", row_of_rooms(30, 3.0)) for i in range(6)]
-    assert building_scenes(large) == ([], [], [])
+    with pytest.raises(ValueError, match="all floors have more than 110 nodes, expected smaller"):
+        building_scenes(large)

@@ -109,15 +109,50 @@ def test_a_file_of_another_level_is_refused(name, tmp_path):
         registry.import_file(name, tmp_path / "floors.jsonl")
 
 
-def test_graphs_that_break_the_hierarchy_are_no_data_set(tmp_path):
+def broken_floor():
     graph = registry.make("s-f", 1)[0]
     label = graph.nodes.label.copy()
     label[label == 1] = 2  # walls become rooms: planes with several rooms are sound, so are these
     label[-1] = 1  # the floor becomes a wall over rooms
-    broken = graph._replace(nodes=graph.nodes._replace(label=label))
-    write_graphs(tmp_path / "broken.jsonl", [broken])
+    return graph._replace(nodes=graph.nodes._replace(label=label))
+
+
+def test_graphs_that_break_the_hierarchy_are_no_data_set(tmp_path):
+    write_graphs(tmp_path / "broken.jsonl", [broken_floor()])
     with pytest.raises(ValueError, match=r"graph 0: edge .* joins wall and room as part_of"):
         registry.load(tmp_path / "broken.jsonl")
+
+
+def test_an_import_is_refused_with_the_file_and_what_was_left_out(tmp_path):
+    path = tmp_path / "plans.jsonl"
+    room = {"poly": [[0, 0], [4, 0], [4, 3], [0, 3]]}
+    plans = [{"building": f"b{i}", "storey": 0, "rooms": [room]} for i in range(6)]
+    path.write_text("\n".join(map(json.dumps, plans)))
+    with pytest.raises(ValueError, match="at least 5 groups of graphs, got 0") as caught:
+        registry.import_file("p-f", path)
+    assert str(caught.value).startswith(f"{path}: a split needs")
+    assert str(caught.value).endswith(
+        "; 6 are left out, first b0 storey 0: there are 1 rooms, expected at least 2"
+    )
+    write_graphs(tmp_path / "broken.jsonl", [broken_floor()])
+    for name in ("mine", "s-f"):
+        with pytest.raises(ValueError, match=r"broken\.jsonl: graph 0: edge .* as part_of"):
+            registry.import_file(name, tmp_path / "broken.jsonl")
+
+
+def test_graphs_in_millimetres_are_no_data_set(tmp_path):
+    graph = registry.make("s-f", 1)[0]
+    position, width = 1000 * graph.nodes.position, 1000 * graph.nodes.width
+    nodes = graph.nodes._replace(position=position, width=width)
+    write_graphs(tmp_path / "a.json", [graph._replace(nodes=nodes)])
+    with pytest.raises(ValueError, match=r"a\.json: graph 0: planes spans .* like millimetres"):
+        registry.import_file("mine", tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("name", ["s-f", "s-f@robot"])
+def test_more_graphs_than_memory_holds_are_refused_at_once(name):
+    with pytest.raises(ValueError, match=r"10{12} graphs are asked for, expected 200000 at most"):
+        registry.make(name, 10**12)
 
 
 # --- what a robot sees of a set ---

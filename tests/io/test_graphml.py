@@ -2,15 +2,12 @@ import networkx
 import numpy as np
 import numpy.testing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sg3d_jax.data import registry
 from sg3d_jax.io.graphml import read_graphml, write_graphml
 from sg3d_jax.io.networkx import to_networkx
 from sg3d_jax.scene.graph import make_graph, undirected_edges
 from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM
-from sg3d_jax.scene.validate import validate_graph
 
 
 def one_room():
@@ -118,6 +115,16 @@ def written(tmp_path_factory):
         (b'<data key="d1">', b'<data key="d17">', "not GraphML that can be read"),
         (b'attr.name="normal_y"', b'attr.name="n"', "node '0' lacks 'normal_y', expected"),
         (b'attr.name="width"', b'attr.name="breadth"', "node '0' lacks 'width', expected"),
+        (b'<node id="1"', b'<node id="0"', "node '0' twice, expected once"),
+        (
+            b"<graph ",
+            b'<key id="d9" attr.name="a" attr.type="int"/>' * 2 + b"<graph ",
+            "key 'd9' twice, exp",
+        ),
+        (b'<data key="d2">', b'<data key="d1">', "node '0' has 'width' twice, expected once"),
+        (b">-0.8<", b">-0_0.8<", "node '0' has '-0_0.8', expected a number"),
+        (b">-0.8<", ">\u0663<".encode(), "node '0' has '\u0663', expected a number"),
+        (b"</graph>", b"</graph><graph/>", "holds 2 graphs, expected one"),
     ],
 )
 def test_a_broken_file_is_refused_in_one_sentence(written, old, new, sentence, tmp_path):
@@ -134,22 +141,3 @@ def test_another_file_is_refused_in_one_sentence(content, tmp_path):
         (tmp_path / "b.graphml").write_bytes(content)
     with pytest.raises(ValueError, match=r"b\.graphml: .*expected|b\.graphml: not GraphML"):
         read_graphml(tmp_path / "b.graphml")
-
-
-@settings(deadline=None, max_examples=60)
-@given(data=st.data())
-def test_a_corrupted_file_is_refused_or_is_a_graph(written, tmp_path_factory, data):
-    place = data.draw(st.integers(0, len(written) - 1))
-    junk = data.draw(st.binary(max_size=3))
-    path = tmp_path_factory.getbasetemp() / "corrupted.graphml"
-    path.write_bytes(written[:place] + junk + written[place + data.draw(st.integers(0, 40)) :])
-    graph, refusal = None, ""
-    try:
-        graph = read_graphml(path).graph
-    except ValueError as error:
-        refusal = str(error)
-    if graph is None:
-        assert refusal.startswith(f"{path}: ")
-        assert "\n" not in refusal
-    else:
-        validate_graph(graph, "read", rules=False)

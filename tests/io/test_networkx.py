@@ -260,6 +260,8 @@ def broken(change):
         ({"nodes": []}, "there is no list 'edges'"),
         ({"edges": []}, "there is no list 'nodes'"),
         (broken(lambda d: d.update(multigraph=True)), "multigraph is true"),
+        (broken(lambda d: d.update(links=[{}])), "there are both edges and links, expected either"),
+        (broken(lambda d: d.update(links=[{}], edges=[])), "both edges and links, expected either"),
         (broken(lambda d: d["nodes"].append(3)), r"nodes\[5\] is 3, expected an object with id"),
         (broken(lambda d: d["nodes"][2].pop("id")), r"nodes\[2\] is \{.*expected an object with"),
         (broken(lambda d: d["nodes"][2].update(id=1)), "node 1 is there twice"),

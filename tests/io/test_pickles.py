@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sg3d_jax.io import pickles
 from sg3d_jax.io.pickles import Asked, Name, read_pickle
 
 PROTOCOLS = st.integers(0, pickle.HIGHEST_PROTOCOL)
@@ -91,6 +92,29 @@ def test_what_follows_the_pickle_is_refused():
         ValueError, match=r"^a.pkl: the file goes on after the pickle, expected data$"
     ):
         read(pickle.dumps(1) + b"\n")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"(" + b"}" * 500 + b"t.",
+        b"(" * 5000 + b".",
+        b"]" + b"]a" * 500 + b".",
+        b"]q\x00" + b"h\x00a" * 5000 + b".",
+        b"}" + b"K\x01Ns" + b"}" * 500 + b".",
+        b"\x80\x04N" + b"\x94" * 5000 + b".",
+        b"G" + b"0" * 8 + b"(" + (b"G" + b"0" * 8) * 1000 + b"l.",
+    ],
+)
+def test_what_fills_the_memory_is_refused(data):
+    with pytest.raises(ValueError, match=r"a\.pkl: the pickle describes more than fits into mem"):
+        read_pickle(data, frozenset(), "a.pkl", "data", most=len(data) + 20_000)
+
+
+def test_a_stack_higher_than_picklers_make_it_is_refused(monkeypatch):
+    monkeypatch.setattr(pickles, "MAX_STACK", 100)
+    with pytest.raises(ValueError, match=r"a\.pkl: the pickle has more than 100 values on its st"):
+        read(b"N" + b"2" * 100 + b".")
 
 
 @settings(deadline=None, max_examples=200)

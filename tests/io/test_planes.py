@@ -1,6 +1,5 @@
 import json
 import re
-import warnings
 
 import numpy as np
 import numpy.testing as npt
@@ -12,7 +11,7 @@ from sg3d_jax.io.formats import read_graphs, read_planes, read_with_attributes, 
 from sg3d_jax.io.planes import COLUMNS, planes, planes_from_dict, planes_to_dict, write_planes
 from sg3d_jax.scene.graph import ontology_of
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PLANE, Ontology
-from sg3d_jax.scene.validate import check_observed, validate_graph
+from sg3d_jax.scene.validate import validate_graph
 from tests.own_world import ONTOLOGY
 
 ROWS = (
@@ -234,6 +233,8 @@ def test_a_wrong_header_is_refused(tmp_path, header, sentence):
         (CSV + "1,2,3\n", ": line 5 has 3 cells, expected 7"),
         (CSV.replace("4.0\n", "wide\n"), ": line 3: width is 'wide', expected a number"),
         (CSV.replace("4.0\n", "\n"), ": line 3: width is '', expected a number"),
+        (CSV.replace("4.0\n", "4_0\n"), ": line 3: width is '4_0', expected a number"),
+        (CSV.replace("4.0\n", "\u0663\n"), ": line 3: width is '\u0663', expected a number"),
         (CSV.replace("4.0\n", "nan\n"), ": planes[1].width is nan, expected finite numbers"),
         (CSV.replace("4.0\n", '"4.0\n'), " is not CSV"),
     ],
@@ -283,59 +284,3 @@ def test_a_broken_scene_is_refused(tmp_path, scene, sentence):
 def test_a_document_without_planes_is_refused(scene, sentence):
     with pytest.raises(ValueError, match=re.escape(sentence)):
         planes_from_dict(scene, "here")
-
-
-@given(
-    name=st.sampled_from(["a.json", "a.jsonl", "a.csv"]),
-    start=st.integers(0, 400),
-    length=st.integers(0, 20),
-    junk=st.one_of(st.binary(max_size=8), st.text(max_size=8).map(str.encode)),
-)
-@settings(
-    deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_a_corrupted_file_is_refused_or_gives_sound_planes(tmp_path, name, start, length, junk):
-    sound = (CSV if name == "a.csv" else json.dumps(SCENE)).encode()
-    path = write(tmp_path, name, sound[:start] + junk + sound[start + length :])
-    assert_refused_or_sound(path)
-
-
-JSON_VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=4)
-        | st.dictionaries(st.sampled_from(["planes", "centroid", "normal", "width"]), inner)
-    ),
-    max_leaves=12,
-)
-
-
-@given(data=st.data(), value=JSON_VALUES)
-@settings(
-    deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_any_value_in_any_field_is_refused_or_gives_sound_planes(tmp_path, data, value):
-    scene = json.loads(json.dumps(SCENE))
-    places = [(scene, "planes"), (scene["planes"], 1)]
-    places += [(scene["planes"][1], name) for name in ("centroid", "normal", "width")]
-    places += [(scene["planes"][1][name], 2) for name in ("centroid", "normal")]
-    holder, key = data.draw(st.sampled_from(places))
-    holder[key] = value
-    assert_refused_or_sound(write(tmp_path, "a.json", json.dumps(scene)))
-
-
-def assert_refused_or_sound(path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        graphs, message = read_or_refuse(path)
-    assert message is None or message.startswith(str(path))
-    assert message is None or "\n" not in message
-    for graph in graphs:
-        check_observed(graph, "planes")
-
-
-def read_or_refuse(path):
-    try:
-        return read_planes(path), None
-    except ValueError as error:
-        return [], str(error)

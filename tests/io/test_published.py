@@ -9,8 +9,6 @@ import networkx
 import numpy as np
 import numpy.testing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sg3d_jax.data import registry
 from sg3d_jax.io.published import read_published
@@ -471,46 +469,3 @@ def test_a_zip_without_its_one_pickle_is_refused_in_one_sentence(tmp_path):
     assert "holds a pickle of 4042322160 bytes" in refusal(tmp_path / "e.zip")
     (tmp_path / "f.zip").write_bytes(big[: place + 8] + b"\x01" + big[place + 9 :])
     assert "is encrypted" in refusal(tmp_path / "f.zip")
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    """One floor in three forms: two protocols, and a zip."""
-    folder = tmp_path_factory.mktemp("published")
-    floors = registry.make("s-f-square", 20)
-    graph = published(min(floors, key=lambda floor: len(floor.nodes.label)))
-    pickled = {protocol: pickle.dumps([graph], protocol) for protocol in (0, 5)}
-    packed = zipped(folder / "a.zip", {"a.pkl": pickled[5]}).read_bytes()
-    return folder, [*pickled.values(), packed]
-
-
-def read_or_refused(path):
-    try:
-        return read_published(path), ""
-    except ValueError as error:
-        return [], str(error)
-
-
-@settings(deadline=None, max_examples=60)
-@given(data=st.data())
-def test_a_file_cut_short_is_refused(files, data):
-    folder, contents = files
-    content = data.draw(st.sampled_from(contents))
-    path = folder / "short.pkl"
-    path.write_bytes(content[: data.draw(st.integers(0, len(content) - 1))])
-    assert "expected" in refusal(path)
-
-
-@settings(deadline=None, max_examples=60)
-@given(data=st.data())
-def test_a_corrupted_file_is_refused_or_holds_a_graph(files, data):
-    folder, contents = files
-    content = data.draw(st.sampled_from(contents))
-    place = data.draw(st.integers(0, len(content) - 1))
-    junk = data.draw(st.binary(max_size=3))
-    path = folder / "corrupted.pkl"
-    path.write_bytes(content[:place] + junk + content[place + data.draw(st.integers(0, 9)) :])
-    graphs, refused = read_or_refused(path)
-    for graph in graphs:
-        validate_graph(graph, "read", rules=False)
-    assert graphs or (refused.startswith(f"{path}: ") and "\n" not in refused)

@@ -265,7 +265,7 @@ POINT = {"x": 0.0, "y": 0.0, "z": 0.0}
             broken(*PLANE_0, "plane_points", value=[POINT]),
             "is no longer than a point, expected poin",
         ),
-        (broken(*PLANE_0, "plane_points", 1, "y", value=1e308), "looks like millimetres"),
+        (broken(*PLANE_0, "plane_points", 1, "y", value=1e308), "expected numbers within 1e"),
         (broken("planes", value={"x_planes": [], "y_planes": []}), "planes holds no planes"),
         (broken("walls", "walls", value=...), "walls lacks 'walls'"),
         (broken("walls", "walls", 0, "wall_center", value=...), r"walls\[0\] lacks 'wall_center'"),

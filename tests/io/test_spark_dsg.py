@@ -1,15 +1,11 @@
-import copy
 import importlib
 import inspect
 import json
 import os
-import warnings
 
 import numpy as np
 import numpy.testing as npt
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from sg3d_jax.data import synthetic
 from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs
@@ -26,8 +22,6 @@ from sg3d_jax.scene.ontology import (
     ROOM,
     WALL,
 )
-from sg3d_jax.scene.validate import validate_graph
-from tests.io.documents import places_of
 
 WALLS = ("edges", "metadata")
 
@@ -432,69 +426,3 @@ def test_a_broken_document_is_refused_in_one_sentence(made, sentence):
         graph_from_spark_dsg(made, "dsg.json")
     assert "\n" not in str(caught.value)
     assert "expected" in str(caught.value)
-
-
-def refused_or_sound(read):
-    """Returns the sound graphs that are read, or None if they are refused in one sentence."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        graphs, message = read_or_message(read)
-    assert message is None or "\n" not in message
-    for graph in graphs or ():
-        validate_graph(graph, "graph", rules=False)
-    return graphs
-
-
-def read_or_message(read):
-    try:
-        return read(), None
-    except ValueError as error:
-        return None, str(error)
-
-
-@given(
-    start=st.integers(0, 9000),
-    length=st.integers(0, 30),
-    junk=st.one_of(st.binary(max_size=8), st.text(max_size=8).map(str.encode)),
-)
-@settings(
-    deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_a_corrupted_file_is_refused_or_gives_a_sound_graph(tmp_path, start, length, junk):
-    sound = json.dumps(graph_to_spark_dsg(city())).encode()
-    start %= len(sound)
-    (tmp_path / "a.json").write_bytes(sound[:start] + junk + sound[start + length :])
-    refused_or_sound(lambda: read_graphs(tmp_path / "a.json"))
-
-
-@given(share=st.floats(0, 0.999))
-@settings(
-    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-def test_a_truncated_file_is_refused(tmp_path, share):
-    sound = json.dumps(graph_to_spark_dsg(city())).encode()
-    (tmp_path / "a.json").write_bytes(sound[: int(share * len(sound))])
-    assert refused_or_sound(lambda: read_graphs(tmp_path / "a.json")) is None
-
-
-SOUND = document("metadata")
-PLACES = sorted(places_of(SOUND), key=str)
-JSON_VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=4)
-        | st.dictionaries(st.sampled_from(["layer", "partition", "position", "walls"]), inner)
-    ),
-    max_leaves=8,
-)
-
-
-@given(place=st.sampled_from(PLACES), value=JSON_VALUES)
-@settings(deadline=None, max_examples=100)
-def test_any_value_anywhere_is_refused_or_gives_a_sound_graph(place, value):
-    changed = copy.deepcopy(SOUND)
-    holder = changed
-    for key in place[:-1]:
-        holder = holder[key]
-    holder[place[-1]] = value
-    refused_or_sound(lambda: [graph_from_spark_dsg(changed, "dsg")])

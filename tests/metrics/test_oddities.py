@@ -13,7 +13,7 @@ from sg3d_jax.metrics.oddities import Odd, Oddity, Remark, check, oddities
 from sg3d_jax.scene.graph import features_of, make_graph
 from sg3d_jax.scene.ontology import BUILDING, FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 from tests import own_world
-from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS
+from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS, two_rooms
 
 WALL_NODE, ROOM_NODE, FLOOR_NODE = NUM_PLANES, NUM_PLANES + 1, NUM_PLANES + 3
 
@@ -159,3 +159,13 @@ def test_remarks_say_how_often_and_where_first():
     assert check([scene(), fewer, scene(), fewer]) == [
         Remark("wall with fewer than two planes", 2, 2, 1)
     ]
+
+
+def test_a_graph_in_millimetres_is_odd():
+    graph = two_rooms()
+    nodes = graph.nodes._replace(
+        position=1000 * graph.nodes.position, width=1000 * graph.nodes.width
+    )
+    (remark,) = check([graph, graph._replace(nodes=nodes)])
+    assert remark.what == "node of a graph too large to be in metres"
+    assert (remark.nodes, remark.graphs, remark.first) == (len(nodes.label), 1, 1)

@@ -1,5 +1,6 @@
 """Tables hold what results and paper say."""
 
+import math
 import re
 
 import pytest
@@ -64,6 +65,20 @@ def test_a_result_of_a_part_of_the_scenes_tells_how_many():
     assert "FD4" in [row.method for row in rows_by_data([elsewhere, whole])["s-f"]]
 
 
+@pytest.mark.parametrize(
+    ("about", "title"),
+    [
+        ({"graphs": 60, "split_graphs": 600}, "FD4, 60 scenes"),
+        ({"graphs": 600, "split_graphs": 600, "command": "sg3d --num-graphs 600"}, "FD4"),
+        ({"graphs": 60, "command": "sg3d evaluate fd4-s-f --num-graphs 60"}, "FD4, 60 scenes"),
+        ({"graphs": 60, "command": "sg3d evaluate fd4-s-f"}, "FD4"),
+    ],
+)
+def test_a_lone_result_of_a_part_of_the_scenes_tells_so_too(about, title):
+    rows = [row.method for row in rows_by_data([RESULT | about])["s-f"]]
+    assert rows[rows.index("FD4 (paper)") + 1] == title
+
+
 def test_several_results_of_a_method_tell_their_weights():
     other = RESULT | {"weights": "runs/new/weights.npz"}
     elsewhere = RESULT | {"data": "r-f"}
@@ -104,6 +119,29 @@ def test_a_result_without_a_field_is_refused(field):
     broken = {key: value for key, value in RESULT.items() if key != field}
     with pytest.raises(ValueError, match=f"result 1 lacks '{field}'"):
         render([RESULT, broken])
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"method": ["fd4"]}, r"method is \['fd4'\], expected a name of one line"),
+        ({"method": "a|b"}, "method is 'a|b', expected a name of one line"),
+        ({"data": {}}, "data is {}, expected a name of one line"),
+        ({"weights": 3}, "weights is 3, expected a name of one line, or null"),
+        ({"scores": []}, r"scores is \[\], expected an object"),
+        ({"graphs": "many"}, "graphs is 'many', expected a number from 1"),
+        ({"candidates": 1.5}, "candidates is 1.5, expected a number from 1"),
+        ({"scores": {"fgw": 3}}, "scores.'fgw' has the mean None, expected a finite number"),
+        ({"scores": {"fgw": {"mean": math.nan}}}, "scores.'fgw' has the mean nan, expected a fin"),
+        ({"scores": {"fgw": {"mean": True}}}, "scores.'fgw' has the mean True, expected a finite"),
+        ({"scores": {"fgw": {"mean": 10**400}}}, "scores.'fgw' has the mean 10*, expected a fini"),
+        ({"scores": {"fgw": {"mean": 1, "sd": "a"}}}, "scores.'fgw' has the sd 'a', expected a n"),
+        ({"scores": {"fgw": {"mean": 1, "sd": -1}}}, "scores.'fgw' has the sd -1, expected a num"),
+    ],
+)
+def test_what_no_evaluation_writes_is_refused_by_its_field(change, sentence):
+    with pytest.raises(ValueError, match=f"result 0: {sentence}"):
+        render([RESULT | change])
 
 
 def test_an_unknown_format_is_refused():

@@ -298,3 +298,15 @@ def test_pillars_alone_are_enough_to_grow_from():
     position = np.array([[0.0, 0, 1], [4, 0, 1]])
     pillars = make_graph([own_world.PILLAR] * 2, position, ontology=own_world.ONTOLOGY)
     check_observed(pillars, WHERE)
+
+
+@pytest.mark.parametrize("field", ["position", "width"])
+def test_numbers_of_which_the_squares_overflow_are_refused(field):
+    graph = two_rooms()
+    values = getattr(graph.nodes, field).copy()
+    values[1] = 1e308
+    nodes = graph.nodes._replace(**{field: values})
+    with pytest.raises(
+        ValueError, match=rf"^a: nodes\[1\]\.{field} is .*, expected numbers within"
+    ):
+        validate_graph(graph._replace(nodes=nodes), "a")

@@ -1,8 +1,11 @@
 import dataclasses
 import json
+import math
 
 import pytest
 
+from sg3d_jax.fill.midi import MiDiConfig
+from sg3d_jax.flagg.step import FlaggConfig
 from sg3d_jax.train.config import Config, OptimiserConfig, check, from_dict, to_dict, to_json
 from tests.tiny_run import CONFIGS, MODELS, read_config
 
@@ -77,6 +80,30 @@ def test_an_unknown_field_is_refused_with_the_fields_there_are(path, owner, valu
 
 
 @pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        (3, "the configuration is 3, expected an object"),
+        ({"method": []}, r"unknown method \[\], expected one of"),
+        ({"data": []}, r"DataConfig is \[\], expected an object"),
+        ({"batch": "8"}, "Config.batch is '8', expected a whole number"),
+        ({"batch": True}, "Config.batch is True, expected a whole number"),
+        ({"initial": 3}, "Config.initial is 3, expected a text or None"),
+        ({"flagg": {"ordering": "X"}}, "FlaggConfig.ordering is 'X', expected 'H' or 'HP'"),
+        ({"flagg": {"continuations": "1"}}, "FlaggConfig.continuations is '1', expected a whole"),
+        (
+            {"optimiser": {"clip_norm": math.nan}},
+            "OptimiserConfig.clip_norm is nan, expected a num",
+        ),
+        ({"optimiser": {"clip_norm": 10**400}}, "OptimiserConfig.clip_norm is 10*, expected a num"),
+        ({"capacities": [24.5]}, r"Config.capacities is \(24.5,\), expected several, each a whole"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_by_its_field(values, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        from_dict(values)
+
+
+@pytest.mark.parametrize(
     ("fields", "sentence"),
     [
         ({"steps": 0}, "steps is 0, expected at least 1"),
@@ -87,7 +114,17 @@ def test_an_unknown_field_is_refused_with_the_fields_there_are(path, owner, valu
         ({"steps": 9}, "steps is 9, expected a multiple of steps_per_call, 2"),
         ({"validate_every": 3}, "validate_every is 3, expected a multiple of steps_per_call, 2"),
         ({"steps": 2}, "optimiser.warmup_steps is 2, expected 0 to 1"),
-        ({"optimiser": OptimiserConfig(warmup_steps=-1)}, "warmup_steps is -1, expected 0 to 7"),
+        (
+            {"optimiser": OptimiserConfig(warmup_steps=-1)},
+            "warmup_steps is -1, expected at least 0",
+        ),
+        (
+            {"optimiser": OptimiserConfig(ema_decay=1.5)},
+            "optimiser.ema_decay is 1.5, expected at mo",
+        ),
+        ({"model": MiDiConfig(node_width=-8)}, "model.node_width is -8, expected at least 1"),
+        ({"model": MiDiConfig(layers=10**6)}, "model.layers is 1000000, expected at most 100"),
+        ({"flagg": FlaggConfig(coins=(1, 0))}, "flagg.coins is 0, expected at least 1"),
         ({"flagg": None}, "flagg of fd4 is None, expected how it grows"),
         ({"model": MODELS["ec-l"]}, "flagg of ec-l is FlaggConfig.*, expected None, because it"),
         ({"capacities": ()}, r"capacities is \[\], expected increasing node counts"),

@@ -1,5 +1,6 @@
 import dataclasses
 import hashlib
+import json
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from sg3d_jax.flagg.step import Params
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.train import weights
 from sg3d_jax.train.card import Card
+from sg3d_jax.train.config import to_dict
 from sg3d_jax.train.methods import METHODS, build_model
 from sg3d_jax.train.weights import (
     load_weights,
@@ -19,7 +21,7 @@ from sg3d_jax.train.weights import (
     save_weights,
     with_diffusion_steps,
 )
-from tests.tiny_run import MODELS, STATISTICS, measured, read_config
+from tests.tiny_run import MODELS, STATISTICS, measured, read_config, untrained_weights
 
 CONFIG = read_config("test")
 PARAMS = Params(
@@ -32,6 +34,18 @@ PARAMETERS = {  # of the weights of the package: the first digits of a hash
     "fd4-s-f": "eada781187e708ad",
     "fd4-s-f-square": "9a3da228e8d9c491",
 }
+
+
+KNOWN_SHAPES = weights._shapes
+
+
+@pytest.fixture(autouse=True)
+def _made_up_parameters_are_those_of_their_models(monkeypatch):
+    def shapes(model):
+        params = PARAMS if hasattr(model, "insert") else PARAMS.fill
+        return {name: leaf.shape for name, leaf in weights._flat(params, "params")}
+
+    monkeypatch.setattr(weights, "_shapes", shapes)
 
 
 @pytest.fixture
@@ -149,15 +163,78 @@ def replace_format(path):
         lambda path: without(path, "format"),
         lambda path: without(path, "config"),
         lambda path: without(path, "statistics/label"),
+        lambda path: changed(path, card="{}"),
         replace_format,
         lambda path: np.savez(path, format=np.array([{}], object)),
     ],
 )
 def test_a_broken_file_is_refused_in_one_sentence(path, spoil):
     spoil(path)
-    with pytest.raises(ValueError, match=r"some\.npz: not a weights file") as caught:
+    with pytest.raises(ValueError, match=r"some\.npz: not (a weights|an npz) file") as caught:
         load_weights(path)
     assert "\n" not in str(caught.value)
+
+
+def changed(path, **arrays):
+    """Puts arrays in the place of those that a file has; two underscores stand for a slash."""
+    with np.load(path) as content:
+        named = {name.replace("__", "/"): array for name, array in arrays.items()}
+        np.savez(path, **{**content, **named})
+
+
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (
+            {"params__gat__x": np.zeros(2, "f")},
+            "parameter params/gat/x is unknown, expected none of its configuration",
+        ),
+        (
+            {"params__room__params__edge_0__bias": np.zeros(5, "f")},
+            r"parameter params/room/params/edge_0/bias is float32\[5\], expected .*\[4\]",
+        ),
+        (
+            {"params__room__params__edge_0__bias": np.zeros(4, int)},
+            r"edge_0/bias is int64\[4\], expected float32\[4\]",
+        ),
+        (
+            {"params__room__params__edge_0__bias": np.full(4, np.nan, "f")},
+            "edge_0/bias is not finite, expected finite numbers",
+        ),
+        ({"statistics__width_min": np.nan}, "statistics/width_min is nan, expected a number"),
+        ({"extra": np.zeros(3)}, "holds 'extra.npy', which is unknown, expected known"),
+    ],
+)
+def test_what_a_model_cannot_have_is_refused_by_name(monkeypatch, tmp_path, damage, sentence):
+    monkeypatch.setattr(weights, "_shapes", KNOWN_SHAPES)
+    path = untrained_weights(tmp_path, "ec-square")
+    changed(path, **damage)
+    with pytest.raises(ValueError, match=rf"ec-square\.npz: .*{sentence}"):
+        load_weights(path)
+
+
+def test_a_parameter_that_is_missing_is_refused_by_name(path):
+    without(path, "params/halt/params/dense_0/bias")
+    sentence = r"some\.npz: parameter params/halt/params/dense_0/bias is missing, expected"
+    with pytest.raises(ValueError, match=sentence):
+        load_weights(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"model": {"layers": "3"}}, "FD4Config.layers is '3', expected a whole number"),
+        ({"model": {"node_width": -8}}, "model.node_width is -8, expected at least 1"),
+        ({"model": {"heads": 0}}, "model.heads is 0, expected at least 1"),
+        ({"model": {"pair_width": 10**12}}, "model.pair_width is 10{12}, expected at most 10000"),
+        ({"model": 3}, "FD4Config is 3, expected an object"),
+        ({"flagg": None}, "flagg of fd4 is None, expected how it grows"),
+    ],
+)
+def test_a_configuration_of_no_model_is_refused_by_its_field(path, change, sentence):
+    changed(path, config=json.dumps(to_dict(CONFIG) | change))
+    with pytest.raises(ValueError, match=rf"some\.npz: {sentence}"):
+        load_weights(path)
 
 
 @pytest.mark.parametrize("steps", [1, 20, 500])
