@@ -202,10 +202,13 @@ def test_other_bad_input_to_complete_is_refused(weights, capsys, tmp_path):
         ((*sound, "--samples", 0), "--samples must be at least 1, got 0"),
         ((*sound, "--seed", -1), "--seed must be at least 0, got -1"),
         ((*sound, "--lanes", 0), "--lanes must be at least 1, got 0"),
+        ((*sound, "--lanes", 10**12), "--lanes must be at most 1024, got 1000000000000"),
+        ((*sound, "--samples", 10**12), "samples and candidates together must be at most 100000"),
+        ((*sound, "--candidates", 10**6), "together must be at most 100000, got 1000000"),
         ((*sound, "--diffusion-steps", 0), "diffusion steps must be in 1..500, got 0"),
         ((*sound, "--diffusion-steps", 501), "diffusion steps must be in 1..500, got 501"),
         ((*sound[:-1], "fd5"), "unknown weights 'fd5', expected the path of an npz file or one of"),
-        ((*sound[:-1], broken), "broken.npz: not a weights file of this version"),
+        ((*sound[:-1], broken), "broken.npz: not an npz file of plain arrays"),
         (("complete", "b.json", *sound[2:]), "b.json: No such file or directory"),
         ((*sound, "-o", "nowhere/graph.json"), "nowhere/graph.json: cannot be written"),
         ((*sound, "-o", "folder.json"), "folder.json: cannot be written"),
@@ -237,6 +240,8 @@ def test_a_graph_is_drawn(capsys):
     capsys.readouterr()
     for arguments, sentence in (
         (("graphs.jsonl", "-o", "b.png", "--index", 2), "--index must be in 0..1, got 2"),
+        (("s-f", "-o", "b.png", "--index", -1), "--index must be at least 0, got -1"),
+        (("s-f", "-o", "b.png", "--index", 10**12), "graphs are asked for, expected 200000 at mo"),
         (("nothing.json", "-o", "b.png"), "nothing.json: No such file"),
         (("graphs.jsonl", "-o", "b.xyz"), "expected"),
         (("graphs.jsonl", "-o", "nowhere/b.png"), "nowhere/b.png"),
@@ -417,11 +422,11 @@ def test_bad_input_to_evaluate_is_refused(weights, capsys):
 def test_bad_input_to_table_is_refused(capsys):
     for arguments, sentence in (
         ((), "the number of results must be at least 1, got 0"),
-        ((write("a.json", {"method": "x"}),), "a.json: holds no result"),
-        ((write_lines("a.jsonl", [{}, {}]),), "a.jsonl: holds no result"),
+        ((write("a.json", {"method": "x"}),), "a.json lacks 'data', expected `sg3d evaluate -o`"),
+        ((write_lines("a.jsonl", [{}, {}]),), "a.jsonl: holds several results, expected one"),
         (
             (write("d.json", {"method": "x", "data": "y", "scores": {"fgw": 3}}),),
-            "d.json: scores.fgw has no mean",
+            "d.json: scores.'fgw' has the mean None, expected a finite number",
         ),
         ((write("b.json", "x"),), "b.json: not JSON"),
         (("nothing.json",), "nothing.json: No such file"),

@@ -8,7 +8,8 @@ import pytest
 
 from sg3d_jax.io.attributes import node_confidence_of
 from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs
-from sg3d_jax.scene.graph import parts_first
+from sg3d_jax.io.json import graph_to_dict
+from sg3d_jax.scene.graph import observed_of, parts_first
 from tests.command_line import SCENES, as_csv, refusal, run, write
 from tests.two_rooms import two_rooms
 
@@ -81,3 +82,41 @@ def test_a_page_says_how_sure_it_is():
     run("view", "a.json", "-o", "a.html")
     with open("a.html") as file:
         assert "confidence 0.45" in file.read()
+
+
+# --- streams ---
+
+
+def stream(name, graphs):
+    """Writes a stream that begins with a map without anything in it."""
+    lines = ['{"nodes": [], "edges": []}', *(json.dumps(graph_to_dict(graph)) for graph in graphs)]
+    return write(name, "".join(line + "\n" for line in lines))
+
+
+def test_a_stream_is_drawn_line_by_line_on_a_page_that_loads_itself_again(monkeypatch):
+    drawn = []
+    monkeypatch.setattr("sg3d_jax.viz.page.save_page", lambda *said: drawn.append(said))
+    stream("a.jsonl", [two_rooms(), observed_of(two_rooms())])
+    run("view", "a.jsonl", "-o", "a.html", "--follow")
+    sizes = [len(graphs[0].nodes.label) for graphs, *_ in drawn]
+    assert sizes == [12, 8, 8]
+    assert [said[2] for said in drawn] == [f"a.jsonl: line {n}" for n in (2, 3, 3)]
+    assert [said[-1] for said in drawn] == [2.0, 2.0, 0]
+
+
+def test_the_last_page_of_a_stream_stays():
+    run("view", stream("a.jsonl", [two_rooms()]), "-o", "a.html", "--follow")
+    with open("a.html") as file:
+        assert '"reload":0.0' in file.read()
+
+
+def test_what_is_no_stream_of_graphs_is_refused(capsys):
+    stream("a.jsonl", [])
+    write("b.jsonl", json.dumps({"update": 1, "added": []}))
+    for arguments, sentence in (
+        (("a.jsonl", "-o", "a.html"), "a.jsonl: there are no graphs, expected one a line"),
+        (("a.jsonl", "-o", "a.png"), "a.png: the name ends in '.png', expected .html"),
+        (("a.jsonl", "-o", "a.html", "--index", 1), "--index is for one graph of several, got 1"),
+        (("b.jsonl", "-o", "a.html"), "b.jsonl: line 1: there is no list 'nodes', expected nodes"),
+    ):
+        assert refusal(capsys, "view", *arguments, "--follow").startswith(sentence)

@@ -83,7 +83,9 @@ def test_a_method_is_trained_stored_and_scored(tmp_path, capsys, monkeypatch, sc
     write("tiny.py", f"{imports}CONFIG = from_dict(json.loads({to_json(config)!r}))\n")
     run("train", "tiny.py")
     out = capsys.readouterr()
-    assert out.out.startswith(os.path.join("runs", "tiny", "weights.npz"))
+    path = os.path.join("runs", "tiny", "weights.npz")
+    sentence = "weights of step 2, which has the best validation FGW, 0.5000"
+    assert out.out == f"{path}: {sentence}\n"
     kinds = [line["kind"] for line in documents(os.path.join("runs", "tiny", "log.jsonl"))]
     assert kinds == ["train", "validation"]
     run("evaluate", os.path.join("runs", "tiny", "weights.npz"), "-o", "a.json")
@@ -297,7 +299,7 @@ def test_bad_input_to_train_is_refused(capsys):
 
 
 def test_a_loss_that_is_not_finite_is_one_line(capsys, monkeypatch):
-    def diverge(config, directory):
+    def diverge(*given):
         raise FloatingPointError("the loss is nan")
 
     monkeypatch.setattr(loop, "train", diverge)
@@ -305,7 +307,7 @@ def test_a_loss_that_is_not_finite_is_one_line(capsys, monkeypatch):
 
 
 def test_control_c_is_one_line(capsys, monkeypatch):
-    def interrupt(config, directory):
+    def interrupt(*given):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(loop, "train", interrupt)

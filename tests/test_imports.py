@@ -35,11 +35,13 @@ MAY_IMPORT: Final[Mapping[str, set[str]]] = {
     "infer": {*GROWING, "baselines", "metrics"},
     "io": {"scene"},
     "data": {"scene", "io"},
-    "train": TRAINING - {"train"},
+    "train": {*TRAINING - {"train"}, "origin"},
     "viz": {"scene", "io"},
     "runtime": set(),
-    "__init__": {*TRAINING, "viz", "runtime"},
-    "cli": {*TRAINING, "viz", "runtime", "__init__"},
+    "origin": set(),
+    "__init__": {*TRAINING, "viz", "runtime", "origin"},
+    "cli": {*TRAINING, "viz", "runtime", "origin", "__init__"},
+    "__main__": {*TRAINING, "viz", "runtime", "origin", "__init__", "cli"},
 }
 
 # Package -> where alone in sg3d_jax it may be imported.

@@ -1,4 +1,4 @@
-"""The command line: `sg3d complete | view | export | train | evaluate | table | sheet | ...`.
+"""The command line: `sg3d complete | follow | view | export | train | evaluate | table | ...`.
 
 Every command delegates. A refusal is one sentence on stderr and exit code 2, with nothing written;
 with SG3D_DEBUG=1 in the environment it is a traceback instead.
@@ -13,13 +13,16 @@ import sg3d_jax
 from sg3d_jax.cli import data, provenance
 from sg3d_jax.cli.cards import weights
 from sg3d_jax.cli.files import export, view
+from sg3d_jax.cli.follow import follow
 from sg3d_jax.cli.grow import complete, train
 from sg3d_jax.cli.scores import evaluate, sheet, table
 
 app = tyro.extras.SubcommandApp()
-for command in (complete, view, export, train, evaluate, table, sheet, weights):
+for command in (complete, follow, view, export, train, evaluate, table, sheet, weights):
     app.command(command)
-app.command(data.app, name="data", help="Make, import, describe, check or draw data sets.")
+app.command(
+    data.app, name="data", help="Make, import, describe, check, draw or drive through data sets."
+)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -34,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
                 train(name, tuple(overrides))
             case _:
                 app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
-    except (ValueError, OverflowError, OSError, FloatingPointError) as error:
+    except (ValueError, OverflowError, OSError, FloatingPointError, MemoryError) as error:
         if os.environ.get("SG3D_DEBUG"):
             raise
         print(f"sg3d: {error}", file=sys.stderr)

@@ -29,6 +29,8 @@ def read_with_attributes(
     from sg3d_jax.io import formats
     from sg3d_jax.io.attributes import bare
 
+    if index is not None:
+        check_at_least("--index", index, 0)
     if registry.is_name(source):
         graphs = registry.make(source, count if index is None else index + 1)
         reads = [bare(graph) for graph in graphs]
@@ -36,7 +38,7 @@ def read_with_attributes(
         reads = formats.read_with_attributes(source)[: None if index is not None else count]
     if index is None:
         return reads
-    if not 0 <= index < len(reads):
+    if index >= len(reads):
         raise ValueError(f"{source}: --index must be in 0..{len(reads) - 1}, got {index}")
     return [reads[index]]
 
@@ -53,6 +55,12 @@ def check_at_least(option: str, value: int, least: int) -> None:
     """Refuses a number that is too small."""
     if value < least:
         raise ValueError(f"{option} must be at least {least}, got {value}")
+
+
+def check_at_most(option: str, value: int, most: int) -> None:
+    """Refuses a number that no machine has the memory for."""
+    if value > most:
+        raise ValueError(f"{option} must be at most {most}, got {value}")
 
 
 def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:

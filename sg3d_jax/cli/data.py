@@ -1,8 +1,8 @@
-"""`sg3d data ...`: data sets made, imported, described, checked and drawn."""
+"""`sg3d data ...`: data sets made, imported, described, checked, drawn and driven through."""
 
 import json
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import tyro
 from rich.console import Console
@@ -148,6 +148,69 @@ def sheet(source: Positional[str], output: Output, num_graphs: int = 24, first: 
     graphs = read(source, count=first + num_graphs)[first:]
     dataset_sheet(graphs, output, first)
     print(f"{output}: {counted(len(graphs))} of {source}")
+
+
+@app.command
+def replay(
+    source: Positional[str],
+    output: Output,
+    index: int = 0,
+    split: Literal["train", "validation", "test"] | None = None,
+    how: Literal["clean", "drive", "loop", "works"] = "drive",
+    seed: int = 0,
+    truth: Path | None = None,
+) -> None:
+    """Drive a robot through a complete graph: what its map is told, for `sg3d follow`.
+
+    Args:
+      source: a data set by name, or a file of graphs in any format.
+      output: the JSON Lines to write, a step a line.
+      index: which graph of it.
+      split: which graph of this part of it.
+      how: clean, all is seen as it is; drive, in part, with noise, planes that are taken for one,
+        and furniture; loop, with odometry that drifts until the loop closes; works, with a wall
+        that is taken down and one that is built.
+      seed: another seed gives another way.
+      truth: also write what of the graph the map then shows, a graph a step, as JSON Lines.
+    """
+    from sg3d_jax.data.replay import REPLAYS
+    from sg3d_jax.data.replay import replay as steps_of
+    from sg3d_jax.io.files import write_documents
+    from sg3d_jax.io.formats import write_graphs
+    from sg3d_jax.io.stream import changes_to_dict
+
+    check_at_least("--seed", seed, 0)
+    check_output(output, (".jsonl",))
+    check_output(truth, (".jsonl",))
+    graph = _graph(source, index, split)
+    steps = steps_of(graph, REPLAYS[how], seed, index)
+    write_documents(output, [changes_to_dict(step.changes) for step in steps])
+    if truth is not None:
+        graphs = [step.truth for step in steps]
+        write_graphs(truth, graphs, attributes=[_ids(step, graph) for step in steps])
+    print(f"{output}: {counted(len(steps), 'step')} through graph {index} of {source}")
+
+
+def _ids(step: Any, graph: Any) -> list[dict[str, int | str]]:
+    """Returns the ids of a step: of its planes, and such as "room-12", a row of the graph."""
+    from sg3d_jax.scene.graph import ontology_of
+
+    names, label = ontology_of(graph).names, graph.nodes.label
+    rest = [f"{names[label[row]]}-{row}" for row in step.rows.tolist()]
+    return [{"id": name} for name in (*step.ids, *rest)]
+
+
+def _graph(source: str, index: int, split: str | None) -> Any:
+    """Returns one graph of a data set or a file, or of a part of it."""
+    if split is None:
+        return read(source, index)[0]
+    from sg3d_jax.train.config import DataConfig
+    from sg3d_jax.train.dataset import load_split
+
+    graphs = load_split(DataConfig(source), split)
+    if not 0 <= index < len(graphs):
+        raise ValueError(f"{source}: --index must be in 0..{len(graphs) - 1}, got {index}")
+    return graphs[index]
 
 
 def _print_data_sets() -> None:

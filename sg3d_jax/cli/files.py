@@ -1,6 +1,7 @@
 """`sg3d view | export`: scene graphs to look at, and for other programs."""
 
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Final, Literal
 
 from sg3d_jax.cli.arguments import (
     PAGES,
@@ -12,8 +13,12 @@ from sg3d_jax.cli.arguments import (
     read_with_attributes,
 )
 
+RELOAD: Final = 2.0  # seconds
 
-def view(source: Positional[str], output: Output, index: int | None = None) -> None:
+
+def view(
+    source: Positional[str], output: Output, index: int | None = None, follow: bool = False
+) -> None:
     """Draw scene graphs: a picture of one, or an interactive page of all.
 
     Where a file says how sure nodes and edges are, those that are not are faint.
@@ -23,11 +28,17 @@ def view(source: Positional[str], output: Output, index: int | None = None) -> N
       output: the picture (PNG, PDF, SVG) or the page (HTML, one file that needs no network).
       index: which graph of several; by default the first for a picture, up to the first hundred
         for a page.
+      follow: draw a stream of graphs, a line each, as `sg3d follow --graphs` writes it, from a file
+        or from standard input (-): the page is written again after every line, and loads itself
+        again until the stream ends.
     """
     from sg3d_jax.io.attributes import node_confidence_of
     from sg3d_jax.viz.figure import save_picture
     from sg3d_jax.viz.page import save_page
 
+    if follow:
+        _view_stream(source, output, index)
+        return
     check_output(output, (*PICTURES, *PAGES))
     is_page = output.suffix.lower() in PAGES
     reads = read_with_attributes(source, index if is_page else index or 0, 100)
@@ -40,6 +51,34 @@ def view(source: Positional[str], output: Output, index: int | None = None) -> N
     else:
         save_picture(graphs[0], output, node_confidence=of_nodes[0], edge_confidence=of_edges[0])
         print(f"{output}: picture of {source}")
+
+
+def _view_stream(source: str, output: Path, index: int | None) -> None:
+    """Draws the graph of every line of a stream on one page, the next over the one before."""
+    from sg3d_jax.io.attributes import node_confidence_of
+    from sg3d_jax.io.json import read_dict
+    from sg3d_jax.io.stream import document_of, lines_of
+    from sg3d_jax.viz.page import save_page
+
+    check_output(output, PAGES)
+    if index is not None:
+        raise ValueError(f"--index is for one graph of several, got {index} with --follow")
+
+    def draw(where: str, read: Any, reload: float) -> None:
+        of_nodes = [node_confidence_of(read.attributes)]
+        save_page([read.graph], output, where, None, of_nodes, [read.edge_confidence], reload)
+
+    drawn = None
+    for where, line in lines_of(source):
+        document = document_of(line, where)
+        if isinstance(document, dict) and document.get("nodes") == []:  # of a map without anything
+            continue
+        drawn = where, read_dict(document, where)
+        draw(*drawn, RELOAD)
+    if drawn is None:
+        raise ValueError(f"{source}: there are no graphs, expected one a line")
+    draw(*drawn, 0.0)
+    print(f"{output}: page of the last graph of {source}")
 
 
 def export(

@@ -13,12 +13,15 @@ from sg3d_jax.cli.arguments import (
     Output,
     Positional,
     check_at_least,
+    check_at_most,
     check_output,
     run_code,
 )
 from sg3d_jax.train import DEFAULT_WEIGHTS
 
 GRAPHS: Final = (".json", ".jsonl")
+MAX_DRAWN: Final = 100_000  # graphs in one call: all are kept until they are written
+MAX_LANES: Final = 1024
 
 
 def complete(
@@ -65,6 +68,7 @@ def complete(
     check_at_least("--samples", samples, 1)
     check_at_least("--candidates", 1 if candidates is None else candidates, 1)
     check_at_least("--lanes", 1 if lanes is None else lanes, 1)
+    check_at_most("--lanes", lanes or 1, MAX_LANES)
     check_at_least("--seed", seed, 0)
     check_output(output, GRAPHS)
     check_output(picture, PICTURES)
@@ -73,6 +77,8 @@ def complete(
     names = names if len(scenes) > 1 else [f"{planes}"]
     for name, scene in zip(names, scenes, strict=True):
         check_attributes(scene.attributes, name)
+    drawn = len(scenes) * samples * (candidates or 1)
+    check_at_most("the number of scenes, samples and candidates together", drawn, MAX_DRAWN)
     check_writable(output, len(scenes) * samples, "json")
     run_code(code)
     trained = _trained(weights, diffusion_steps)

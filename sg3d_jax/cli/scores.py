@@ -5,7 +5,7 @@ import io
 import json
 import time
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -17,6 +17,7 @@ from sg3d_jax.cli.arguments import (
     Output,
     Positional,
     check_at_least,
+    check_at_most,
     check_output,
     counted,
     run_code,
@@ -24,6 +25,8 @@ from sg3d_jax.cli.arguments import (
 from sg3d_jax.cli.provenance import provenance
 from sg3d_jax.io.files import read_documents, replacing
 from sg3d_jax.metrics.paper import HEADINGS, SCORES, TITLES
+
+MAX_CANDIDATES: Final = 1000  # of a scene: all are kept until they are compared
 
 
 def evaluate(
@@ -64,12 +67,14 @@ def evaluate(
     check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
     check_at_least("--seeds", min(seeds, default=-1), 0)
     check_at_least("--candidates", candidates, 1)
+    check_at_most("--candidates", candidates, MAX_CANDIDATES)
     check_output(output, (".json",))
     check_output(row, (".csv",))
     check_output(sheet, PICTURES)
     run_code(code)
     chosen = load_contender(method, data, diffusion_steps, candidates)
-    scenes = load_split(chosen.data, split, chosen.name)[:num_graphs]
+    in_split = load_split(chosen.data, split, chosen.name)
+    scenes = in_split[:num_graphs]
     truth = [chosen.target(scene) for scene in scenes]
     made, seconds = [], []
     for seed in seeds:
@@ -90,6 +95,7 @@ def evaluate(
         "data": chosen.data.label,
         "split": split,
         "graphs": len(truth),
+        "split_graphs": len(in_split),
         "seeds": list(seeds),
         "diffusion_steps": chosen.diffusion_steps,
         "candidates": candidates,
@@ -192,14 +198,14 @@ def _calibration_errors(result: Any, truth: list) -> dict[str, float]:
 
 def _result(path: Path) -> dict[str, Any]:
     """Reads a result file."""
-    expected = "a file that `sg3d evaluate -o` wrote"
+    from sg3d_jax.metrics.table import check_result
+
     (where, document), *more = read_documents(path)
-    scores = document.get("scores") if isinstance(document, dict) else None
-    if more or not isinstance(scores, dict) or not {"method", "data"} <= document.keys():
-        raise ValueError(f"{path}: holds no result, expected {expected}")
-    for name, value in scores.items():
-        if not isinstance(value, dict) or not isinstance(value.get("mean"), (int, float)):
-            raise ValueError(f"{where}: scores.{name:.40} has no mean, expected {expected}")
+    if more:
+        raise ValueError(
+            f"{path}: holds several results, expected one that `sg3d evaluate -o` wrote"
+        )
+    check_result(document, where)
     return document
 
 

@@ -178,19 +178,29 @@ def view(
     Raises:
       ValueError: the graph has other concepts, or nothing is left of it in a hundred views.
     """
-    if ontology_of(graph) != PAPER_ONTOLOGY:
-        held = ", ".join(ontology_of(graph).names)
-        raise ValueError(f"graph {index}: its concepts are {held}, expected the paper's")
+    check_concepts(graph, index)
     rng = np.random.default_rng([seed, index, number, _TAG])
     for _ in range(TRIES):
         chosen = config.draw(rng) if isinstance(config, RobotMixture) else config
         planes = seen_whole(graph)
         for effect in EFFECTS:
             planes = effect(planes, chosen, graph, rng)
-        seen = _truth(graph, planes, planes.stretches, _surfaces(planes.stretches, len(planes[0])))
+        surfaces = surfaces_of(planes.stretches, len(planes.width))
+        seen, _ = truth_of(graph, planes, planes.stretches, surfaces)
         if len(planes.width) >= LEAST_SIDES and seen.nodes.label.max() == graph.nodes.label.max():
             return View(seen, graph, planes.stretches)
     raise ValueError(f"graph {index}: nothing is left of it in {TRIES} views, expected a room")
+
+
+def check_concepts(graph: SceneGraph, index: int) -> None:
+    """Refuses a graph of concepts of which we do not know what a robot sees.
+
+    Raises:
+      ValueError: they are not the paper's.
+    """
+    if ontology_of(graph) != PAPER_ONTOLOGY:
+        held = ", ".join(ontology_of(graph).names)
+        raise ValueError(f"graph {index}: its concepts are {held}, expected the paper's")
 
 
 def in_pieces(view: View) -> SceneGraph:
@@ -215,9 +225,9 @@ def in_pieces(view: View) -> SceneGraph:
     order = order[(high >= low)[order]]
     piece, most = np.unique(piece[order], return_index=True)
     lies_on = Stretches(piece, *(f[order][most] for f in (view.stretches.plane[at], low, high)))
-    surface = _surfaces(view.stretches, len(seen.nodes.label))[owner]
+    surface = surfaces_of(view.stretches, len(seen.nodes.label))[owner]
     pieces = SeenPlanes(position, normal, width, lies_on)
-    return _truth(view.complete, pieces, lies_on, surface)
+    return truth_of(view.complete, pieces, lies_on, surface)[0]
 
 
 def raw_planes(graph: SceneGraph, seed: int, index: int, number: int = 0) -> SceneGraph:
@@ -238,7 +248,7 @@ def raw_planes(graph: SceneGraph, seed: int, index: int, number: int = 0) -> Sce
     return planes._replace(nodes=planes.nodes._replace(normal=normal))
 
 
-def _surfaces(stretches: Stretches, num_seen: int) -> np.ndarray:
+def surfaces_of(stretches: Stretches, num_seen: int) -> np.ndarray:
     """Returns the surface of each seen plane, int[k]: the first plane of the graph that is of it.
 
     Seen planes that show one plane of the graph are of one surface, and so on from these.
@@ -253,16 +263,19 @@ def _surfaces(stretches: Stretches, num_seen: int) -> np.ndarray:
             return surface
 
 
-def _truth(
+def truth_of(
     graph: SceneGraph, planes: SeenPlanes, stretches: Stretches, surface: np.ndarray
-) -> SceneGraph:
-    """Returns seen planes with what of the complete graph they still show.
+) -> tuple[SceneGraph, np.ndarray]:
+    """Returns seen planes with what of the complete graph they still show, and which of it stays.
 
     Args:
       graph: complete.
       planes: k that are seen.
       stretches: what is seen on them.
       surface: int[k], which surface each is part of.
+
+    Returns:
+      The host graph, planes first, and of each node behind them its row in the complete graph.
     """
     num_nodes, num_seen = len(graph.nodes.label), len(planes.width)
     pairs = parts_first(graph)
@@ -279,13 +292,14 @@ def _truth(
     place[kept] = num_seen + np.arange(len(kept))
     seen, of = np.divmod(np.unique(seen * num_nodes + of), num_nodes)
     edges = np.concatenate([np.column_stack([seen, place[of]]), place[pairs[~of_planes]]])
-    return make_graph(
+    truth = make_graph(
         np.concatenate([np.full(num_seen, PLANE), graph.nodes.label[kept]]),
         np.concatenate([planes.position, position[kept]]),
         normal=np.pad(planes.normal, [(0, len(kept)), (0, 1)]),
         width=np.pad(planes.width, (0, len(kept))),
         part_of=edges[(edges >= 0).all(axis=1)],
     )
+    return truth, kept
 
 
 def _above(

@@ -140,7 +140,7 @@ def seen_whole(graph: SceneGraph) -> SeenPlanes:
     return SeenPlanes(graph.nodes.position[rows], graph.nodes.normal[rows, :2], width, whole)
 
 
-def _visit(
+def visit(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
     """Drops the planes of the rooms that are far from where the robot began; all are whole yet."""
@@ -157,7 +157,7 @@ def _visit(
     return _where(planes, ~np.isin(planes.stretches.plane, inside))
 
 
-def _miss(
+def miss(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
     """Drops planes."""
@@ -168,6 +168,13 @@ def _shorten(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
     """Takes away one end of planes, or both."""
+    return parts_of(planes, np.arange(len(planes.width)), *seen_ends(planes, config, rng))
+
+
+def seen_ends(
+    planes: SeenPlanes, config: RobotConfig, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns where what is seen of each plane begins and ends, float[k], from its middle."""
     size = len(planes.width)
     lost = rng.uniform(*config.shortened_by, size) * (rng.random(size) < config.shortened)
     at_left = np.where(
@@ -175,21 +182,32 @@ def _shorten(
     )
     low = planes.width * (-0.5 + lost * (1 - at_left))
     high = planes.width * (0.5 - lost * at_left)
-    return _parts(planes, np.arange(size), low, high)
+    return low, high
 
 
 def _merge(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
-    """Makes one plane of those that lie on one line with small gaps between them.
-
-    It faces as the widest of them does and lies in the middle of their lines and heights.
-    """
+    """Makes one plane of those that lie on one line with small gaps between them."""
     if not config.merged:
         return planes
+    links = np.argwhere(on_one_line(planes, config.merged_gap))
+    return taken_for_one(planes, links[rng.random(len(links)) < config.merged])[0]
+
+
+def taken_for_one(planes: SeenPlanes, links: np.ndarray) -> tuple[SeenPlanes, np.ndarray]:
+    """Makes one plane of those that are linked, directly or through others.
+
+    It faces as the widest of them does and lies in the middle of their lines and heights.
+
+    Args:
+      planes: k of them.
+      links: int[l, 2], pairs of them.
+
+    Returns:
+      The planes, in the order of the first of each, and which of them each has become, int[k].
+    """
     size = len(planes.width)
-    links = np.argwhere(_on_one_line(planes, config.merged_gap))
-    links = links[rng.random(len(links)) < config.merged]
     adjacency = coo_array((np.ones(len(links)), tuple(links.T)), (size, size))
     num_merged, merged = connected_components(adjacency, directed=False)
     widest = np.lexsort((-planes.width, merged))
@@ -214,10 +232,10 @@ def _merge(
     order = np.lexsort((first + shift, group))
     stretches = Stretches(group, plane, first + shift, last + shift)
     stretches = Stretches(*(field[order] for field in stretches))
-    return SeenPlanes(position, normal, high - low, stretches)
+    return SeenPlanes(position, normal, high - low, stretches), merged
 
 
-def _on_one_line(planes: SeenPlanes, gap: float) -> np.ndarray:
+def on_one_line(planes: SeenPlanes, gap: float) -> np.ndarray:
     """Returns which pairs of planes, bool[k, k] above the diagonal, may be taken for one."""
     normal, width, height = planes.normal, planes.width, planes.position[:, 2]
     across = planes.position[:, :2] @ normal.T  # of the first, along the normal of the second
@@ -232,7 +250,7 @@ def _on_one_line(planes: SeenPlanes, gap: float) -> np.ndarray:
     return found
 
 
-def _split(
+def split(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
     """Cuts planes in two, with a gap between the parts; those too short for it stay whole."""
@@ -246,10 +264,10 @@ def _split(
     low = np.concatenate([-end, (first + gap)[cut]])
     high = np.concatenate([first, end[cut]])
     order = np.argsort(row, kind="stable")
-    return _parts(planes, row[order], low[order], high[order])
+    return parts_of(planes, row[order], low[order], high[order])
 
 
-def _double(
+def double(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
     """Puts a copy of a stretch of planes a little in front of them or behind."""
@@ -262,7 +280,7 @@ def _double(
     high = np.concatenate([planes.width / 2, middle + width / 2])
     offset = rng.uniform(*config.doubled_offset, len(twice)) * rng.choice([-1, 1], len(twice))
     order = np.argsort(row, kind="stable")
-    doubled = _parts(planes, row[order], low[order], high[order])
+    doubled = parts_of(planes, row[order], low[order], high[order])
     offset = np.concatenate([np.zeros(size), offset])[order]
     doubled.position[:, :2] += offset[:, None] * doubled.normal
     return doubled
@@ -273,16 +291,30 @@ def _blur(
 ) -> SeenPlanes:
     """Adds noise to positions, headings and heights."""
     size = len(planes.width)
+    heading = rng.normal(0, 1, size)
+    return displaced(planes, config, rng.normal(0, 1, (size, 3)), heading)
+
+
+def displaced(
+    planes: SeenPlanes, config: RobotConfig, offset: np.ndarray, heading: np.ndarray
+) -> SeenPlanes:
+    """Moves and turns planes by so many standard deviations of the noise.
+
+    Args:
+      planes: k of them.
+      config: the noise.
+      offset: float[k, 3], of the position.
+      heading: float[k], counter-clockwise.
+    """
     noise = [config.position_noise, config.position_noise, config.height_noise]
-    angle = np.radians(rng.normal(0, config.heading_noise, size))
+    angle = np.radians(config.heading_noise * heading)
     angle *= FIRM_WIDTH / np.maximum(planes.width, FIRM_WIDTH)
     return planes._replace(
-        position=planes.position + rng.normal(0, 1, (size, 3)) * noise,
-        normal=_turned(planes.normal, angle),
+        position=planes.position + offset * noise, normal=turned(planes.normal, angle)
     )
 
 
-def _litter(
+def litter(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
     """Adds short planes that belong to nothing, between walls that are seen and their rooms."""
@@ -303,7 +335,7 @@ def _litter(
     angle = quarters * np.pi / 2 + np.radians(rng.normal(0, CLUTTER_HEADING, count))
     return SeenPlanes(
         np.concatenate([planes.position, position]),
-        np.concatenate([planes.normal, _turned(normal, angle)]),
+        np.concatenate([planes.normal, turned(normal, angle)]),
         np.concatenate([planes.width, rng.uniform(*config.clutter_width, count)]),
         planes.stretches,
     )
@@ -311,14 +343,14 @@ def _litter(
 
 _Effect = Callable[[SeenPlanes, RobotConfig, SceneGraph, np.random.Generator], SeenPlanes]
 EFFECTS: Final[tuple[_Effect, ...]] = (
-    _visit,
-    _miss,
+    visit,
+    miss,
     _shorten,
     _merge,
-    _split,
-    _double,
+    split,
+    double,
     _blur,
-    _litter,
+    litter,
 )
 
 
@@ -326,10 +358,10 @@ def _where(planes: SeenPlanes, chosen: np.ndarray) -> SeenPlanes:
     """Returns some of the planes, bool[k]."""
     row = np.flatnonzero(chosen)
     end = planes.width[row] / 2
-    return _parts(planes, row, -end, end)
+    return parts_of(planes, row, -end, end)
 
 
-def _parts(planes: SeenPlanes, row: np.ndarray, low: np.ndarray, high: np.ndarray) -> SeenPlanes:
+def parts_of(planes: SeenPlanes, row: np.ndarray, low: np.ndarray, high: np.ndarray) -> SeenPlanes:
     """Returns parts of planes; a plane of the graph that hardly shows on one is not seen there.
 
     Args:
@@ -363,6 +395,6 @@ def along(normal: np.ndarray) -> np.ndarray:
     return np.column_stack([-normal[:, 1], normal[:, 0]])
 
 
-def _turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def turned(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Turns each vector of the plane by its angle, counter-clockwise, radians."""
     return np.cos(angle)[:, None] * vectors + np.sin(angle)[:, None] * along(vectors)

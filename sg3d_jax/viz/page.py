@@ -85,6 +85,7 @@ def save_page(
     names: Sequence[str] | None = None,
     node_confidence: Sequence[Array | None] | None = None,
     edge_confidence: Sequence[Array | None] | None = None,
+    reload: float | None = None,
 ) -> None:
     """Writes host graphs as one self-contained interactive HTML page.
 
@@ -96,6 +97,8 @@ def save_page(
       node_confidence: of each graph float[n], 0 to 1: nodes are the fainter the less sure they are,
         and say it; None for one whose nodes are alike.
       edge_confidence: likewise float[e], of the rows of `parts_first(graph)`.
+      reload: seconds after which the page loads itself again, if it is written again and again: it
+        then keeps the view; 0 for the last such page. None for a page that stays.
 
     Raises:
       ValueError: there is nothing to show, the names are too few or too many, the graphs have
@@ -128,9 +131,10 @@ def save_page(
         }
         for name, graph, *sure in zip(names, graphs, of_nodes, of_edges, strict=True)
     ]
+    again = {} if reload is None else {"reload": reload}
     parts = {
         "title": html.escape(title or "scene graph"),
-        "data": _script_json({"graphs": shown, "config": CONFIG}),
+        "data": _script_json({"graphs": shown, "config": CONFIG, **again}),
         "plotly": get_plotlyjs(),
     }
     page = resources.files("sg3d_jax.viz").joinpath("page.html").read_text(encoding="utf-8")
