@@ -26,25 +26,23 @@ class Region(NamedTuple):
     open: np.ndarray  # bool[n], nodes of the map that may be others now
 
 
-def region_of(
-    graph: SceneGraph, fresh: np.ndarray, open_wholes: np.ndarray, firm: np.ndarray
-) -> Region:
+def region_of(graph: SceneGraph, due: np.ndarray, firm: np.ndarray) -> Region:
     """Returns the region around a change.
 
     Args:
       graph: host graph of a map, observed nodes first.
-      fresh: bool[n], observed nodes that are new, or others than they were; at least one, or one
-        open whole.
-      open_wholes: bool[n], grown nodes with observed parts that may be others now.
+      due: bool[n], observed nodes that are new, or others than they were, and wholes of observed
+        nodes that may be others now; at least one.
       firm: bool[n], nodes that stay whatever comes.
     """
-    members = members_of(graph)
+    members, observed = members_of(graph), np.asarray(graph.nodes.observed)
+    fresh = due & observed
     direct = members.any(axis=0) & ~firm
     new = fresh & ~members.any(axis=1)
-    is_open = direct & (open_wholes | members[fresh].any(axis=0) | _reached(graph, members, new))
+    is_open = direct & (due | members[fresh].any(axis=0) | _reached(graph, members, new))
     core = fresh | members[:, is_open].any(axis=1)
-    chosen = _with_context(graph, members, core & np.asarray(graph.nodes.observed))
-    upper = ~np.asarray(graph.nodes.observed) & ~members.any(axis=0)
+    chosen = _with_context(graph, members, core)
+    upper = ~observed & ~members.any(axis=0)
     staying = members[chosen].any(axis=0) & ~is_open
     rows = np.concatenate([np.flatnonzero(chosen), np.flatnonzero(staying)])
     return Region(rows, is_open | (upper & ~firm))
@@ -78,17 +76,18 @@ def _reached(graph: SceneGraph, members: np.ndarray, new: np.ndarray) -> np.ndar
     A new node lies to the parts of such a whole as they lie to each other: the sides of a room face
     each other, those of a wall do not. What has no normal may be part of anything near.
     """
-    reached = np.zeros(len(new), bool)
-    wholes = np.flatnonzero(members.any(axis=0))
-    if not len(wholes) or not new.any():
+    reached, rows = np.zeros(len(new), bool), np.flatnonzero(new)
+    placed = np.flatnonzero(members.any(axis=1))
+    is_near = (_way(graph, rows, placed) < REACH).any(axis=0)
+    wholes = np.flatnonzero(members[placed[is_near]].any(axis=0))
+    if not len(wholes):
         return reached
-    seen = np.flatnonzero(members.any(axis=1))
+    seen = np.flatnonzero(members[:, wholes].any(axis=1))
     of_whole = members[np.ix_(seen, wholes)].astype(float)
     inside = _facing(graph, seen, seen).astype(float) - np.eye(len(seen))
     number = of_whole.sum(axis=0)
     pairs = np.maximum(number * (number - 1), 1)
-    share_inside = np.einsum("sw,st,tw->w", of_whole, inside, of_whole) / pairs
-    rows = np.flatnonzero(new)
+    share_inside = np.sum(of_whole * (inside @ of_whole), axis=0) / pairs
     share = _facing(graph, rows, seen) @ of_whole / number
     way = _way(graph, rows, seen)
     near = np.stack([way[:, held].min(axis=1) for held in of_whole.T.astype(bool)], axis=1)
@@ -144,7 +143,7 @@ def _with_context(graph: SceneGraph, members: np.ndarray, core: np.ndarray) -> n
         if not np.isfinite(nearest[one]):
             break
         with_it = observed[group == one]
-        if chosen.sum() + np.sum(~chosen[with_it]) > room and nearest[one] >= 0:
+        if chosen.sum() + np.sum(~chosen[with_it]) > room:
             break
         chosen[with_it] = True
     return chosen

@@ -6,15 +6,21 @@ twice in a row: nothing flickers. Concepts are revised bottom-up, each over the 
 then has; the drawn whole that shares most parts with one that is there goes on as that one.
 """
 
-from collections.abc import Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from sg3d_jax.infer.region import Region
-from sg3d_jax.scene.graph import SceneGraph, features_of, make_graph, ontology_of, parts_first
-from sg3d_jax.scene.ontology import FEATURES, Ontology
+from sg3d_jax.scene.graph import (
+    SceneGraph,
+    features_of,
+    make_graph,
+    ontology_of,
+    parts_first,
+    subgraph,
+)
+from sg3d_jax.scene.ontology import Ontology
 
 PATIENCE: Final = 2  # draws in a row that a node must be elsewhere in where nothing has changed
 
@@ -28,6 +34,8 @@ class Tracks(NamedTuple):
     held: np.ndarray  # int64[n], and how often just so
     astray: np.ndarray  # int64[n, C], draws in a row in which it had another whole of a concept
     firm: np.ndarray  # bool[n], stays whatever comes
+    due: np.ndarray  # bool[n], is to be drawn again: is new, not what it was, or lost or bent parts
+    grew: np.ndarray  # float[n, 2], metres that the ends of what is observed moved since it was due
 
 
 class Map(NamedTuple):
@@ -37,22 +45,37 @@ class Map(NamedTuple):
     tracks: Tracks
 
 
-class Banned(NamedTuple):
-    """What is not to come again."""
+class _Overlay(NamedTuple):
+    """A map and a draw of a region of it, in m common rows: those of the map, then what is new."""
 
-    label: int
-    observed: AbstractSet[int]  # rows of the map that were below it
+    ontology: Ontology
+    label: np.ndarray  # int[m]
+    known: np.ndarray  # bool[m, m], part and whole, as the map has them
+    drawn: np.ndarray  # bool[m, m], and as the draw has them
+    rows: np.ndarray  # int[d], of the nodes of the draw
+    new: np.ndarray  # int[v], of those that it has grown
+    open: np.ndarray  # bool[m], may be others now
+    hidden: np.ndarray  # bool[m], wholes that the draw was not given, and has its own version of
+    firm: np.ndarray  # bool[m], stays whatever comes
+    due: np.ndarray  # bool[m], is drawn because it has changed
+
+
+class _Verdict(NamedTuple):
+    """What the map takes over."""
+
+    part_of: np.ndarray  # bool[m, m], part and whole, as the map has them now
+    told: np.ndarray  # bool[m, m], as the draw has them, where each node is what it goes on as
+    stands: np.ndarray  # int[m], the row that each node goes on as
+    astray: np.ndarray  # int[m, C], of `Tracks`
 
 
 def revised(
     known: Map,
     region: Region,
     drawn: SceneGraph,
-    fresh: np.ndarray,
-    stirred: np.ndarray,
     update: int,
     next_id: int,
-    banned: Sequence[Banned] = (),
+    is_banned: Callable[[int, frozenset[int]], bool] | None = None,
 ) -> Map:
     """Returns a map with what it takes over of a draw.
 
@@ -60,71 +83,49 @@ def revised(
       known: what is there.
       region: what was drawn again of it.
       drawn: host graph; its first nodes are those of the region, as they are there.
-      fresh: bool[n], observed nodes that are new, or others than they were.
-      stirred: bool[n], wholes that have lost parts, or whose parts have moved apart.
       update: its number.
       next_id: of the first node that comes.
-      banned: what is not taken over.
+      is_banned: whether a whole of a concept over some rows of the map is not to come; None if all
+        may.
     """
-    ontology, num_known = ontology_of(known.graph), len(known.graph.nodes.label)
-    new_rows = np.arange(num_known, num_known + len(drawn.nodes.label) - len(region.rows))
-    total, rows = num_known + len(new_rows), np.concatenate([region.rows, new_rows])
-    label = np.concatenate([known.graph.nodes.label, drawn.nodes.label[len(region.rows) :]])
-    before = _matrix(known.graph, np.arange(num_known), total)
-    drawn_part_of = _matrix(drawn, rows, total)
-    is_open = np.pad(region.open, (0, len(new_rows)), constant_values=True)
-    fresh, stirred = (np.pad(one, (0, len(new_rows))) for one in (fresh, stirred))
-    stirred = stirred | (before | drawn_part_of)[fresh].any(axis=0)
-    astray = np.pad(known.tracks.astray, [(0, len(new_rows)), (0, 0)])
-    part_of, told = before.copy(), np.zeros_like(before)  # the map, and the draw in its rows
-    stands = np.arange(total)  # which row of the map each node stands for
-    for concept in np.flatnonzero(ontology.may_be_part.any(axis=0)):
-        is_of = label == concept
-        new = new_rows[is_of[new_rows]]
-        says = np.zeros((total, len(new)), bool)
-        for row in rows:
-            says[stands[row]] |= drawn_part_of[row, new]
-        for one in says.T:
-            below = observed_below(part_of, label, one)
-            one &= not any(ban == Banned(concept, below) for ban in banned)
-        old = np.flatnonzero(is_of[:num_known] & region.open)
-        stands[new] = _heirs(part_of[:, old].T.astype(int) @ says, old, new)
-        if ontology.is_top[concept] and is_of[:num_known].any():
-            stands[new] = np.argmax(is_of)
-        for one, of_one in zip(stands[new], says.T, strict=True):
-            told[:, one] |= of_one
-        columns = np.flatnonzero(is_of & is_open)
-        parts = np.isin(np.arange(total), stands[rows]) & ontology.may_be_part[label, concept]
-        differs = parts & (told != part_of)[:, columns].any(axis=1)
-        near = (part_of | told)[:, columns[stirred[columns]]].any(axis=1)
-        is_free = fresh | near | ~part_of[:, is_of].any(axis=1)
-        moves = differs & told[:, columns].any(axis=1) & is_free
-        moves |= differs & (astray[:, concept] + 1 >= PATIENCE)
-        part_of[np.ix_(moves, columns)] = told[np.ix_(moves, columns)]
-        astray[parts, concept] = np.where(differs & ~moves, astray[:, concept] + 1, 0)[parts]
-    stays = _that_stay(part_of, label, np.pad(known.tracks.firm, (0, len(new_rows))), ontology)
-    part_of &= stays[:, None] & stays
-    inside = np.isin(np.arange(total), stands[rows])
-    agrees = told.any(axis=0) & (told == part_of)[inside].all(axis=0)
-    changed, is_new = (before != part_of).any(axis=0), np.arange(total) >= num_known
-    is_as_drawn = is_new | (changed & agrees & ~part_of[~inside].any(axis=0))
-    drawn_at = np.zeros((total, 3))
-    drawn_at[stands[new_rows]] = drawn.nodes.position[len(region.rows) :]
-    there = np.pad(known.graph.nodes.position, [(0, len(new_rows)), (0, 0)])
-    position = np.where(is_as_drawn[:, None], drawn_at, there)
-    position = followed(there, position, before, part_of, label, ontology, ~is_as_drawn)
-    again = is_open & (told | (part_of & inside[:, None])).any(axis=0)
-    tracks = Tracks(
-        id=np.concatenate([known.tracks.id, np.full(len(new_rows), -1)]),
-        born=np.concatenate([known.tracks.born, np.full(len(new_rows), update)]),
-        drawn=np.where(changed, 1, np.pad(known.tracks.drawn, (0, len(new_rows))) + again),
-        held=np.where(changed, 1, np.pad(known.tracks.held, (0, len(new_rows))) + (again & agrees)),
-        astray=astray,
-        firm=np.pad(known.tracks.firm, (0, len(new_rows))),
+    over = _overlaid(known, region, drawn)
+    verdict = _judged(over, known.tracks.astray, is_banned)
+    stays = _that_stay(verdict.part_of, over.label, over.firm, over.ontology)
+    part_of = verdict.part_of & stays[:, None] & stays
+    inside = np.isin(np.arange(len(stays)), verdict.stands[over.rows])
+    changed = (over.known != part_of).any(axis=0)
+    agrees = verdict.told.any(axis=0) & (verdict.told == part_of)[inside].all(axis=0)
+    is_as_drawn = changed & agrees & ~over.firm & ~part_of[~inside].any(axis=0)
+    is_as_drawn[over.new] = True
+    there = _padded(known.graph.nodes.position, len(over.new))
+    position = there.copy()
+    position[verdict.stands[over.new]] = drawn.nodes.position[len(region.rows) :]
+    position[~is_as_drawn] = there[~is_as_drawn]
+    lasting = there, position, over.known, part_of, over.label, over.ontology, ~is_as_drawn
+    graph = _with_nodes(known.graph, over.label, followed(*lasting), part_of)
+    again = over.open & (verdict.told | (part_of & inside[:, None])).any(axis=0)
+    tracks = Tracks(*(_padded(field, len(over.new)) for field in known.tracks))
+    tracks.id[over.new], tracks.born[over.new] = -1, update
+    tracks = tracks._replace(
+        drawn=np.where(changed, 1, tracks.drawn + again),
+        held=np.where(changed, 1, tracks.held + (again & agrees)),
+        astray=verdict.astray,
+        due=tracks.due & ~inside & ~over.open,
     )
-    came = np.flatnonzero(stays & is_new)
-    tracks.id[came] = next_id + np.arange(len(came))
-    return _only(stays, label, position, known.graph, part_of, tracks)
+    return _numbered(_of_rows(Map(graph, tracks), np.flatnonzero(stays)), next_id)
+
+
+def pruned(known: Map) -> Map:
+    """Returns a map without the wholes that have lost all of their parts, unless they are firm."""
+    graph = known.graph
+    part_of = part_of_matrix(graph)
+    stays = _that_stay(part_of, graph.nodes.label, known.tracks.firm, ontology_of(graph))
+    return known if stays.all() else _of_rows(known, np.flatnonzero(stays))
+
+
+def without(known: Map, rows: list[int]) -> Map:
+    """Returns a map without some nodes."""
+    return _of_rows(known, np.delete(np.arange(len(known.graph.nodes.label)), rows))
 
 
 def followed(
@@ -149,8 +150,10 @@ def followed(
     """
     now = now.copy()
     lasting = which & part_of_before.any(axis=0) & part_of.any(axis=0)
+    has_others = (part_of_before != part_of).any(axis=0)
     for concept in np.flatnonzero(ontology.may_be_part.any(axis=0)):
-        for row in np.flatnonzero(lasting & (label == concept)):
+        shifted = has_others | part_of[(now != before).any(axis=1)].any(axis=0)
+        for row in np.flatnonzero(lasting & shifted & (label == concept)):
             parts = before[part_of_before[:, row]], now[part_of[:, row]]
             was, is_at = (each.mean(axis=0) for each in parts)
             if ontology.is_above[concept]:
@@ -159,26 +162,147 @@ def followed(
     return now
 
 
-def observed_below(part_of: np.ndarray, label: np.ndarray, parts: np.ndarray) -> frozenset[int]:
-    """Returns the rows without parts that are below some nodes, or among them.
+def observed_below(
+    part_of: np.ndarray, label: np.ndarray, ontology: Ontology, parts: np.ndarray
+) -> frozenset[int]:
+    """Returns the rows of what is observed below some nodes, or among them.
 
     Args:
       part_of: bool[n, n], part and whole.
-      label: int[n]; parts have lesser ones than their wholes.
+      label: int[n].
+      ontology: the concepts; parts have lesser labels than their wholes.
       parts: bool[n], the nodes.
     """
     below = parts.copy()
-    for concept in range(label.max(), -1, -1):
+    for concept in range(ontology.num_concepts - 1, -1, -1):
         below |= part_of[:, below & (label == concept)].any(axis=1)
-    return frozenset(np.flatnonzero(below & ~part_of.any(axis=0)).tolist())
+    return frozenset(np.flatnonzero(below & ontology.is_observed[label]).tolist())
 
 
-def _matrix(graph: SceneGraph, rows: np.ndarray, size: int) -> np.ndarray:
-    """Returns the part-of edges of a graph as bool[n, n], part and whole, in other rows."""
-    matrix = np.zeros((size, size), bool)
-    part, whole = rows[parts_first(graph)].T
-    matrix[part, whole] = True
-    return matrix
+def part_of_matrix(graph: SceneGraph) -> np.ndarray:
+    """Returns the part-of edges of a host graph as bool[n, n], part and whole."""
+    return _matrix(graph, np.arange(len(graph.nodes.label)), len(graph.nodes.label))
+
+
+def _overlaid(known: Map, region: Region, drawn: SceneGraph) -> _Overlay:
+    """Brings a map and a draw to common rows."""
+    num_known, num_given = len(known.graph.nodes.label), len(region.rows)
+    further = len(drawn.nodes.label) - num_given
+    new = np.arange(num_known, num_known + further)
+    rows, total = np.concatenate([region.rows, new]), num_known + further
+    is_open, firm = _padded(region.open, further), _padded(known.tracks.firm, further)
+    is_open[new] = True
+    hidden = is_open | (firm & ~np.isin(np.arange(total), rows))
+    return _Overlay(
+        ontology_of(known.graph),
+        np.concatenate([known.graph.nodes.label, drawn.nodes.label[num_given:]]),
+        _matrix(known.graph, np.arange(num_known), total),
+        _matrix(drawn, rows, total),
+        rows,
+        new,
+        is_open,
+        hidden,
+        firm,
+        _padded(known.tracks.due, further),
+    )
+
+
+def _judged(
+    over: _Overlay, astray: np.ndarray, is_banned: Callable[[int, frozenset[int]], bool] | None
+) -> _Verdict:
+    """Decides, concept by concept, which parts have the wholes that were drawn."""
+    ontology, label = over.ontology, over.label
+    part_of, stands = over.known.copy(), np.arange(len(label))
+    told, astray = np.zeros_like(part_of), _padded(astray, len(over.new))
+    fresh = over.due & ontology.is_observed[label]
+    stirred = over.due | (over.known | over.drawn)[fresh].any(axis=0)
+    for concept in np.flatnonzero(ontology.may_be_part.any(axis=0)).tolist():
+        is_of = label == concept
+        new = over.new[is_of[over.new]]
+        says = np.zeros((len(label), len(new)), bool)
+        np.logical_or.at(says, stands[over.rows], over.drawn[np.ix_(over.rows, new)])
+        says[:, _refused(says, over, part_of, concept, is_banned)] = False
+        stands[new] = _go_on_as(says, over, part_of, concept)
+        for one, of_one in zip(stands[new], says.T, strict=True):
+            told[:, one] |= of_one
+        columns = np.flatnonzero(is_of & over.hidden)
+        _keep_closed(
+            told, part_of, is_of & ~over.open, columns, ontology.has_one_whole[label, concept]
+        )
+        is_drawn = np.isin(np.arange(len(label)), stands[over.rows])
+        differs = is_drawn & ontology.may_be_part[label, concept]
+        differs &= (told != part_of)[:, columns].any(axis=1)
+        near = (part_of | told)[:, columns[stirred[columns]]].any(axis=1)
+        is_free = fresh | near | ~part_of[:, is_of].any(axis=1)
+        moves = differs & told[:, columns].any(axis=1) & is_free
+        moves |= differs & (astray[:, concept] + 1 >= PATIENCE)
+        part_of[np.ix_(moves, columns)] = told[np.ix_(moves, columns)]
+        changed = columns[over.open[columns]]
+        refused = _refused(part_of[:, changed], over, part_of, concept, is_banned)
+        part_of[:, changed[refused]] = False
+        waits = np.where(differs & ~moves, astray[:, concept] + 1, 0)
+        astray[:, concept] = np.where(is_drawn, waits, astray[:, concept])
+    return _Verdict(part_of, told, stands, astray)
+
+
+def _refused(
+    wholes: np.ndarray,
+    over: _Overlay,
+    part_of: np.ndarray,
+    concept: int,
+    is_banned: Callable[[int, frozenset[int]], bool] | None,
+) -> np.ndarray:
+    """Returns bool[k], which wholes of a concept are not to come.
+
+    Args:
+      wholes: bool[m, k], the parts of each.
+      over: a map and a draw.
+      part_of: bool[m, m], as the map has it now below the concept.
+      concept: its label.
+      is_banned: see `revised`.
+    """
+    if is_banned is None:
+        return np.zeros(wholes.shape[1], bool)
+    below = [observed_below(part_of, over.label, over.ontology, one) for one in wholes.T]
+    return np.array([is_banned(concept, rows) for rows in below], bool)
+
+
+def _go_on_as(says: np.ndarray, over: _Overlay, part_of: np.ndarray, concept: int) -> np.ndarray:
+    """Returns int[v], the row that each drawn whole of a concept goes on as, may be its own.
+
+    Args:
+      says: bool[m, v], the parts of each, in rows of the map.
+      over: a map and a draw.
+      part_of: bool[m, m], as the map has it now.
+      concept: its label.
+    """
+    is_of = over.label == concept
+    there = np.setdiff1d(np.flatnonzero(is_of), over.new)
+    new, old = over.new[is_of[over.new]], there[over.hidden[there]]
+    if over.ontology.is_top[concept] and len(there):
+        return np.full(len(new), there[0])
+    return _heirs(part_of[:, old].T.astype(int) @ says, old, new)
+
+
+def _keep_closed(
+    told: np.ndarray,
+    part_of: np.ndarray,
+    closed: np.ndarray,
+    columns: np.ndarray,
+    has_one_whole: np.ndarray,
+) -> None:
+    """Leaves wholes that may not change their parts, and parts that have one such theirs.
+
+    Args:
+      told: bool[m, m], as was drawn; changed.
+      part_of: bool[m, m], as the map has it.
+      closed: bool[m], wholes that keep their parts.
+      columns: int[h], wholes of the concept that may get parts.
+      has_one_whole: bool[m], which nodes are part of one whole of the concept at most.
+    """
+    told[:, closed] |= part_of[:, closed]
+    held = np.flatnonzero(part_of[:, closed].any(axis=1) & has_one_whole)
+    told[np.ix_(held, columns)] = part_of[np.ix_(held, columns)]
 
 
 def _heirs(shared: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
@@ -207,22 +331,37 @@ def _that_stay(
     return stays
 
 
-def _only(
-    stays: np.ndarray,
-    label: np.ndarray,
-    position: np.ndarray,
-    graph: SceneGraph,
-    part_of: np.ndarray,
-    tracks: Tracks,
-) -> Map:
-    """Returns the map of the nodes that stay; those beyond the graph have no features."""
+def _padded(field: np.ndarray, further: int) -> np.ndarray:
+    """Returns a field with zeros for further nodes."""
+    return np.pad(field, [(0, further), *[(0, 0)] * (field.ndim - 1)])
+
+
+def _matrix(graph: SceneGraph, rows: np.ndarray, size: int) -> np.ndarray:
+    """Returns the part-of edges of a graph as bool[n, n], part and whole, in other rows."""
+    matrix = np.zeros((size, size), bool)
+    part, whole = rows[parts_first(graph)].T
+    matrix[part, whole] = True
+    return matrix
+
+
+def _with_nodes(
+    graph: SceneGraph, label: np.ndarray, position: np.ndarray, part_of: np.ndarray
+) -> SceneGraph:
+    """Returns a host graph with further nodes, which have no features, and other edges."""
     further = len(label) - len(graph.nodes.label)
-    features = {
-        name: np.concatenate([array, np.zeros((further, *FEATURES[name]))])[stays]
-        for name, array in features_of(graph).items()
-    }
-    pairs = np.argwhere(part_of[np.ix_(stays, stays)])
-    made = make_graph(
-        label[stays], position[stays], **features, part_of=pairs, ontology=ontology_of(graph)
-    )
-    return Map(made, Tracks(*(field[stays] for field in tracks)))
+    features = {name: _padded(array, further) for name, array in features_of(graph).items()}
+    pairs = np.argwhere(part_of)
+    return make_graph(label, position, **features, part_of=pairs, ontology=ontology_of(graph))
+
+
+def _of_rows(known: Map, rows: np.ndarray) -> Map:
+    """Returns the map of some nodes."""
+    return Map(subgraph(known.graph, rows), Tracks(*(field[rows] for field in known.tracks)))
+
+
+def _numbered(known: Map, next_id: int) -> Map:
+    """Returns a map in which what is new has ids, from the next one on."""
+    number = known.tracks.id.copy()
+    new = np.flatnonzero((number < 0) & ~known.graph.nodes.observed)
+    number[new] = next_id + np.arange(len(new))
+    return Map(known.graph, known.tracks._replace(id=number))
