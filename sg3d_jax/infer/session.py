@@ -5,8 +5,8 @@ draw that again, given what stays around it; and takes over what is due (`infer/
 stays bit for bit, and what goes on keeps its id. What moved as one, such as by the closing of a
 loop, takes along what stands above it, and nothing is drawn again.
 
-An update without changes thinks: the whole map is drawn again, and what is so drawn twice in a row
-is taken over.
+Where nothing is touched, an update that is asked to think has the whole map drawn again, and what
+is so drawn twice in a row is taken over: for when the robot stands, or is done.
 
 A session is a pytree and an update a pure function: the same changes give the same map, bit for
 bit. The part on the device runs in a few buckets of fixed size, however large the map.
@@ -110,7 +110,7 @@ def update(
         (`FlaggConfig.any_cuts`) suit best.
       params: its parameters.
       session: the map so far.
-      changes: what has changed; nothing to have the whole map drawn again.
+      changes: what has changed, or that the map is to be thought over.
 
     Returns:
       The map now, and how its graph differs from the one before.
@@ -136,7 +136,7 @@ def update(
         remarks=intake.remarks,
     )
     remarks = [remark for remark in intake.remarks if remark not in session.remarks]
-    region = _region(known, is_idle=changes._replace(observed=None) == Changes())
+    region = _region(known, changes.think)
     if region is not None:
         drawn = _drawn(model, params, after, region)
         if drawn is None:
@@ -266,14 +266,14 @@ def _decided(
     )
 
 
-def _region(known: Map, is_idle: bool) -> Region | None:
+def _region(known: Map, think: bool) -> Region | None:
     """Returns what is to be drawn again: what is due, or all if nothing happens; None for none."""
     graph, tracks = known
     if np.sum(graph.nodes.observed) < 2:
         return None
     if tracks.due.any():
         return region_of(graph, tracks.due, tracks.firm)
-    return whole_region(graph, tracks.firm) if is_idle else None
+    return whole_region(graph, tracks.firm) if think else None
 
 
 def _drawn(model: Flagg, params: Params, session: Session, region: Region) -> SceneGraph | None:

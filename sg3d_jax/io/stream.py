@@ -3,8 +3,8 @@
 In, a line an update, any of: a list for each concept that is observed, under its layer's name in
 lower case, of what is new or has moved, as in `io.planes` but that each has an `id`; `removed`,
 the ids of what is gone; `merged`, pairs of an id that is gone and that of its heir; `confirmed` and
-`forbidden`, ids of grown nodes. Or a whole PlanesData message of S-Graphs: what is new, has moved
-or is gone follows from the message before.
+`forbidden`, ids of grown nodes; `think`, to have the whole map drawn again. Or a whole PlanesData
+message of S-Graphs: what is new, has moved or is gone follows from the message before.
 
 Out, a line an update: `{"update": n, "added": [...], "changed": [...], "removed": [...], "events":
 [...], "remarks": [...]}`; or the whole graph as in `io.json`, in which the ids of grown nodes begin
@@ -34,6 +34,7 @@ STANDARD_INPUT: Final = "-"
 # normal; width, metres.
 STILL: Final = (*[1e-3] * 3, *[1e-4] * 3, 1e-3)
 BESIDE: Final = ("removed", "merged", "confirmed", "forbidden")  # lists of ids in a line
+THINK: Final = "think"
 # What a line says of a grown node that a whole graph says itself.
 IN_GRAPH: Final = (ID, "label", "position", "observed", "parts")
 
@@ -99,7 +100,7 @@ def read_changes(
     if isinstance(document, dict) and document.keys() & {*AXES}:
         return _read_message(document, ontology, heard, where)
     lists = _lists(ontology)
-    expected = (*lists, *BESIDE)
+    expected = (*lists, *BESIDE, THINK)
     if not isinstance(document, dict):
         raise ValueError(f"{where} is {document!r:.40}, expected an object of changes")
     if odd := further(document, expected):
@@ -127,6 +128,7 @@ def read_changes(
         tuple((gone, heir) for gone, heir in merged),
         _ids(document, "confirmed", where, (int,)),
         _ids(document, "forbidden", where, (int,)),
+        _flag(document, THINK, where),
     )
     return changes, heard
 
@@ -144,7 +146,7 @@ def changes_to_dict(changes: Changes) -> Document:
     for key in BESIDE:
         if told := getattr(changes, key):
             document[key] = [list(each) if isinstance(each, tuple) else each for each in told]
-    return document
+    return document | ({THINK: True} if changes.think else {})
 
 
 def graph_changes_to_dict(changes: GraphChanges, ontology: Ontology, update: int) -> Document:
@@ -252,6 +254,13 @@ def _list(document: Mapping[str, Any], key: str, where: str) -> list[Any]:
     value = document.get(key, [])
     if not isinstance(value, list):
         raise ValueError(f"{where}: {key} is {value!r:.40}, expected a list")
+    return value
+
+
+def _flag(document: Mapping[str, Any], key: str, where: str) -> bool:
+    value = document.get(key, False)
+    if not isinstance(value, bool):
+        raise ValueError(f"{where}: {key} is {value!r:.40}, expected true or false")
     return value
 
 

@@ -20,6 +20,7 @@ class Changes(NamedTuple):
     merged: tuple[tuple[int | str, int | str], ...] = ()  # observed: the one that is gone, its heir
     confirmed: tuple[int, ...] = ()  # grown nodes that stay as they are
     forbidden: tuple[int, ...] = ()  # grown nodes that are not, and do not come again
+    think: bool = False  # whether the whole map is drawn again where nothing else is to be
 
 
 class GrownNode(NamedTuple):

@@ -94,8 +94,15 @@ def told(*ids: str, planes=PLANES) -> dict[str, Any]:
     return {"observed": subgraph(planes, [IDS.index(one) for one in ids]), "ids": ids}
 
 
+THINK = Changes(think=True)
+
+
 def go(session, **changes):
-    """Returns the map after changes, and what they did to its graph, which must be all."""
+    """Returns the map after changes, and what they did to its graph, which must be all.
+
+    Without any it is thought over.
+    """
+    changes = changes or {"think": True}
     after, done = update(MODEL, stop_at(13), session, Changes(**changes))
     nodes = {one: node for one, node in nodes_of(session).items() if one not in done.removed}
     nodes |= {node.id: node for node in (*done.added, *done.changed)}
@@ -173,7 +180,7 @@ def test_an_update_of_a_model__is_a_pure_function(monkeypatch):
             session, _ = update(MODEL, stop_at(13), session, one)
         return session
 
-    first, *rest = Changes(**told(*IDS[:6])), Changes(**told(*IDS[6:])), Changes(), Changes()
+    first, *rest = Changes(**told(*IDS[:6])), Changes(**told(*IDS[6:])), THINK, THINK
     session = step(begin(PAPER_ONTOLOGY, 7), first)
     before = copy.deepcopy(jax.tree.leaves(session))
     after = step(session, *rest)
@@ -381,6 +388,14 @@ def test_a_floor_that_is_confirmed__takes_further_rooms(draws):
     session, _ = go(session)
     session, _ = go(session)
     assert floor_of(session).parts == (room(session, "a").id, room(session, "b").id)
+
+
+def test_an_update_that_tells_of_nothing__changes_nothing(draws):
+    session = whole_map(draws)
+    after, done = go(session, removed=())
+    assert not any(done)
+    assert draws.regions == []
+    assert_same(after.known, session.known)
 
 
 def test_what_is_forbidden__goes_and_does_not_come_again(draws):

@@ -35,6 +35,7 @@ LINE = {
     "merged": [["c", 7], [4, "a"]],
     "confirmed": [12],
     "forbidden": [5, 6],
+    "think": True,
 }
 MESSAGE = json.loads((Path(__file__).parent / "s_graphs.json").read_text())["planes"]
 
@@ -52,7 +53,7 @@ def test_a_line_tells_of_all_changes_at_once():
     npt.assert_array_equal(changes.observed.nodes.position, [PLANE["centroid"]] * 2)
     npt.assert_array_equal(changes.observed.nodes.normal, [PLANE["normal"]] * 2)
     npt.assert_array_equal(changes.observed.nodes.width, [PLANE["width"]] * 2)
-    assert changes[2:] == ((3, "b"), (("c", 7), (4, "a")), (12,), (5, 6))
+    assert changes[2:] == ((3, "b"), (("c", 7), (4, "a")), (12,), (5, 6), True)
 
 
 def test_a_line_need_not_tell_of_anything():
@@ -92,6 +93,7 @@ def test_other_ontologies_have_their_own_lists():
         ({"planes": [PLANE | {"width": -1}]}, r": nodes\[0\]\.width is -1, expected zero m"),
         ({"planes": [PLANE | {"width": float("nan")}]}, r": nodes\[0\]\.width is nan, expected"),
         ({"removed": 3}, r": removed is 3, expected a list"),
+        ({"think": 1}, r": think is 1, expected true or false"),
         ({"removed": [True]}, r": removed\[0\] is True, expected an id"),
         ({"merged": [[1, 2, 3]]}, r": merged\[0\] is \[1, 2, 3\], expected the id that is gone"),
         ({"merged": [[1, 2.0]]}, r": merged\[0\] is \[1, 2\.0\], expected the id that is gone"),
