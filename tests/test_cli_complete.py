@@ -27,7 +27,8 @@ def _workplace(tmp_path, monkeypatch):
 
 
 def complete(name, weights, *options):
-    run("complete", name, "-o", "graph.json", "--weights", weights, *options)
+    arguments = "--weights", weights, "--candidates", 1, *options
+    run("complete", name, "-o", "graph.json", *arguments)
     with open("graph.json") as file:
         return json.load(file)
 

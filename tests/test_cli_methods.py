@@ -213,8 +213,12 @@ def test_weights_that_do_not_come_with_the_package_are_refused_with_a_way_to_get
 
 
 def test_methods_are_drawn_on_the_same_scenes(folder, monkeypatch):
-    rows = []
-    monkeypatch.setattr(figure, "contact_sheet", lambda drawn, path: rows.extend(drawn))
+    rows, captions = [], []
+    monkeypatch.setattr(
+        figure,
+        "contact_sheet",
+        lambda drawn, path, said: (rows.extend(drawn), captions.extend(said)),
+    )
     write_floors()
     weights = untrained(folder, "ec-l")
     options = "--data", "floors.jsonl", "--num-graphs", 2, "--split", "all", "--first", 3
@@ -226,6 +230,9 @@ def test_methods_are_drawn_on_the_same_scenes(folder, monkeypatch):
     assert [len(graph.nodes.label) for graph in graphs[2]] == [
         len(graph.nodes.label) for graph in small_floors()[3:5]
     ]
+    scores = [fgw_pairs(row, graphs[2]).value.tolist() for row in graphs[:2]]
+    expected = [f"{place}: FGW {row[place - 3]:.3f}" for row in scores for place in (3, 4)]
+    assert captions == [*expected, "3", "4"]
 
 
 def test_bad_input_to_sheet_is_refused(capsys):
@@ -248,9 +255,9 @@ def trained_with(monkeypatch):
     """Records with what `sg3d train` calls the training loop."""
     calls = []
 
-    def train(config, directory):
+    def train(config, directory, accept_changes):
         calls.append((config, directory))
-        return directory / "weights.npz"
+        return loop.Finished(directory / "weights.npz", 3, 0.25)
 
     monkeypatch.setattr(loop, "train", train)
     return calls

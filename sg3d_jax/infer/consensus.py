@@ -200,7 +200,7 @@ def adopted(
       What joins each of the chosen ones.
     """
     joins: dict[Version, set[int]] = {version: set() for version in chosen}
-    for part in sorted(single.difference(*(version.parts for version in chosen))):
+    for part in sorted(single - {one for version in chosen for one in version.parts}):
         held = [version.parts for ballot in ballots for version in ballot if part in version.parts]
         if 2 * len(held) > len(ballots) and chosen:
             shared = {one: sum(len(one.parts & other) for other in held) for one in chosen}

@@ -212,7 +212,8 @@ def _side_by_side(
     What JAX is told for one thread, such as by `jax.default_device`, is so in all.
     """
     results = [run(batch) for batch in batches[:1]]
-    device, checks = jax.config.jax_default_device, jax.config.jax_debug_key_reuse
+    told: Any = jax.config
+    device, checks = told.jax_default_device, told.jax_debug_key_reuse
 
     def as_here(batch: list[Any]) -> list[Any]:
         with jax.default_device(device), jax.debug_key_reuse(checks):

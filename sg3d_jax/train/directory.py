@@ -34,12 +34,13 @@ def held(directory: Path) -> Generator[None]:
     """Makes a run directory, and keeps other processes out of it during the block.
 
     The lock is the kernel's: it is gone however the process ends, while the file stays. Where there
-    is no such lock, on Windows and on some network file systems, processes are not kept apart. A
-    directory in which nothing was begun is removed again.
+    is no such lock, on Windows and on some network file systems, processes are not kept apart.
+    Folders that were made are removed again if nothing was begun in them.
 
     Raises:
       ValueError: another process trains in it; the sentence says which.
     """
+    made = [path for path in (directory, *directory.parents) if not path.exists()]
     directory.mkdir(parents=True, exist_ok=True)
     lock = directory / LOCK
     with lock.open("ab+", buffering=0) as file:
@@ -57,7 +58,9 @@ def held(directory: Path) -> Generator[None]:
         finally:
             if list(directory.iterdir()) == [lock]:
                 lock.unlink()
-                directory.rmdir()
+                with contextlib.suppress(OSError):  # somebody has begun something meanwhile
+                    for path in made:
+                        path.rmdir()
 
 
 def _locked(file: Any) -> bool:
