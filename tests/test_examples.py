@@ -110,7 +110,8 @@ def test_own_fill__is_scored():
 @pytest.mark.usefixtures("in_own_run")
 def test_own_fill__completes_scenes():
     weights = "run/weights.npz"
-    run("complete", "floors.npz", "-o", "grown.jsonl", "--weights", weights, "--code", OWN_FILL)
+    arguments = "--weights", weights, "--code", OWN_FILL, "--candidates", 1
+    run("complete", "floors.npz", "-o", "grown.jsonl", *arguments)
     grown = documents("grown.jsonl")
     assert len(grown) == len(small_floors())
     assert all(document["grown"] for document in grown)
