@@ -193,6 +193,10 @@ class Ontology:
         """Returns the ontology as JSON values."""
         return dataclasses.asdict(self)
 
+    def __reduce__(self) -> tuple[type["Ontology"], tuple[Any, ...]]:
+        """Pickles without what is cached: hashes of strings are those of one process."""
+        return Ontology, (self.concepts, self.rules)
+
     def __hash__(self) -> int:
         """Hashes once: every call of a compiled function asks for it."""
         return self._hash
