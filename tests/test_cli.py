@@ -354,7 +354,11 @@ def test_bad_input_to_data_is_refused(capsys):
         assert sentence in refusal(capsys, "data", *arguments)
 
 
-def test_weights_are_evaluated(weights, capsys):
+def test_weights_are_evaluated(weights, capsys, monkeypatch):
+    captions = []
+    monkeypatch.setattr(
+        "sg3d_jax.viz.figure.contact_sheet", lambda rows, path, said: captions.extend(said)
+    )
     run(
         *("evaluate", weights, "--num-graphs", 2, "-o", "scores.json", "--sheet", "worst.png"),
         *("--split", "validation", "--seeds", 0, 1, "--row", "scores.csv"),
@@ -376,7 +380,9 @@ def test_weights_are_evaluated(weights, capsys):
         (row,) = csv.DictReader(file)
     assert float(row["gin"]) == content["scores"]["gin"]["mean"]
     assert row["seeds"] == "0 1"
-    assert os.path.getsize("worst.png") > 0
+    found = content["runs"][0]["fgw_per_graph"]
+    worst = sorted(range(2), key=lambda index: -found[index])
+    assert captions == [*map(str, worst), *(f"{i}: FGW {found[i]:.3f}" for i in worst)]
 
 
 def test_rand_and_graphs_of_others_are_evaluated_and_put_in_a_table(capsys):
@@ -452,7 +458,7 @@ def test_help_names_every_command(capsys, arguments):
     ("arguments", "words"),
     [
         (["complete"], ["planes", "--picture", "--samples", "--seed", "--weights"]),
-        (["view"], ["--index"]),
+        (["view"], ["--index", "--plan", "--truth"]),
         (["evaluate"], ["--num-graphs", "--split", "--seeds", "--sheet"]),
         (["table"], ["--to", "latex"]),
         (["sheet"], ["--num-graphs", "--first", "--seed"]),

@@ -1,5 +1,6 @@
 """`sg3d complete`: what is given, what is kept, and what is said of both."""
 
+import io
 import json
 
 import jax
@@ -230,6 +231,26 @@ def test_how_sure_it_is_stands_in_the_result_and_doubts_are_said(weights, capsys
             assert (doubt if doubt in shared else f"sample {index}: {doubt}") in said
     assert len(said) == len(set(said))
     assert complete("planes.json", weights)["confidence"]["agreement"] is None
+
+
+@pytest.mark.parametrize("scenes", [SCENES[:1], SCENES[:2]], ids=["one", "several"])
+def test_standard_input_and_output_hold_what_files_hold(weights, capsys, monkeypatch, scenes):
+    text = "\n".join(map(json.dumps, scenes)) if len(scenes) > 1 else json.dumps(*scenes, indent=1)
+    name = write("planes.jsonl" if len(scenes) > 1 else "planes.json", text)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+    run("complete", name, "-o", "graphs.jsonl", "--weights", weights)
+    capsys.readouterr()
+    run("complete", "-", "-o", "-", "--weights", weights)
+    captured = capsys.readouterr()
+    lines = captured.out.splitlines() if len(scenes) > 1 else [captured.out]
+    assert [json.loads(line) for line in lines] == documents("graphs.jsonl")
+    assert "-: scene 0 sample 0: " in captured.err
+
+
+def test_what_is_wrong_with_standard_input_is_said_of_it(weights, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b'{"planes": []}')))
+    line = refusal(capsys, "complete", "-", "-o", "-", "--weights", weights)
+    assert line.startswith("standard input: line 1: planes holds no planes")
 
 
 def test_remarks_name_the_graph_of_a_file_of_several(weights, capsys):

@@ -84,6 +84,33 @@ def test_a_page_says_how_sure_it_is():
         assert "confidence 0.45" in file.read()
 
 
+def test_a_plan_has_the_names_of_a_file_and_what_differs_from_a_truth(monkeypatch):
+    named = [{**held, "name": "hall"} if row == 9 else held for row, held in enumerate(ATTRIBUTES)]
+    write_graphs("a.json", [two_rooms()], attributes=[named])
+    write_graphs("b.jsonl", [observed_of(two_rooms()), two_rooms()])
+    drawn = []
+    monkeypatch.setattr("sg3d_jax.viz.plan.save_plan", lambda *said: drawn.append(said))
+    run("view", "a.json", "-o", "a.png", "--plan")
+    run("view", "b.jsonl", "-o", "b.svg", "--plan", "--index", 1, "--truth", "b.jsonl")
+    (named, alone) = drawn
+    assert named[2][8:] == [15, "hall", 17, "n11"]
+    npt.assert_array_equal(named[3], NODES)
+    assert named[4] is None
+    assert alone[2] == [*range(12)]
+    assert alone[3] is None
+    npt.assert_array_equal(alone[4].nodes.label, two_rooms().nodes.label)
+
+
+def test_a_plan_is_a_picture_and_a_truth_is_for_a_plan(capsys):
+    write_graphs("a.json", [two_rooms()])
+    for arguments, sentence in (
+        (("-o", "a.html", "--plan"), "a.html: the name ends in '.html', expected .png or"),
+        (("-o", "a.html", "--plan", "--follow"), "--plan is for a picture of one graph"),
+        (("-o", "a.png", "--truth", "a.json"), "--truth is for --plan"),
+    ):
+        assert refusal(capsys, "view", "a.json", *arguments).startswith(sentence)
+
+
 # --- streams ---
 
 

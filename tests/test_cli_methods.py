@@ -6,11 +6,12 @@ import json
 import os
 
 import jax
+import numpy as np
 import pytest
 
 from sg3d_jax.infer import complete as completing
 from sg3d_jax.io.formats import read_graphs, write_graphs
-from sg3d_jax.metrics import report
+from sg3d_jax.metrics import fgw, report
 from sg3d_jax.metrics.fgw import FGW
 from sg3d_jax.scene.graph import observed_of
 from sg3d_jax.scene.ontology import FLOOR, PLANE
@@ -212,6 +213,10 @@ def test_weights_that_do_not_come_with_the_package_are_refused_with_a_way_to_get
     assert f"`sg3d evaluate runs/{name}/weights.npz`" in line
 
 
+def sizes(graphs):
+    return np.array([len(graph.nodes.label) for graph in graphs], float)
+
+
 def test_methods_are_drawn_on_the_same_scenes(folder, monkeypatch):
     rows, captions = [], []
     monkeypatch.setattr(
@@ -219,6 +224,7 @@ def test_methods_are_drawn_on_the_same_scenes(folder, monkeypatch):
         "contact_sheet",
         lambda drawn, path, said: (rows.extend(drawn), captions.extend(said)),
     )
+    monkeypatch.setattr(fgw, "fgw_pairs", lambda made, true: FGW(sizes(true), 0, 0, None, True, 1))
     write_floors()
     weights = untrained(folder, "ec-l")
     options = "--data", "floors.jsonl", "--num-graphs", 2, "--split", "all", "--first", 3
@@ -230,8 +236,12 @@ def test_methods_are_drawn_on_the_same_scenes(folder, monkeypatch):
     assert [len(graph.nodes.label) for graph in graphs[2]] == [
         len(graph.nodes.label) for graph in small_floors()[3:5]
     ]
-    scores = [fgw_pairs(row, graphs[2]).value.tolist() for row in graphs[:2]]
-    expected = [f"{place}: FGW {row[place - 3]:.3f}" for row in scores for place in (3, 4)]
+    targets = graphs[2], [METHODS["ec-l"].target(graph) for graph in graphs[2]]
+    expected = [
+        f"{index}: FGW {size:.3f}"
+        for truth in targets
+        for index, size in enumerate(sizes(truth).tolist(), 3)
+    ]
     assert captions == [*expected, "3", "4"]
 
 

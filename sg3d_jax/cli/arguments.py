@@ -1,11 +1,18 @@
 """What the commands share: how arguments look, and what is refused before any work is done."""
 
+import json
 import os
 import runpy
+import sys
+import tempfile
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import tyro
+from rich.console import Console
+from rich.table import Table
 
 Positional = tyro.conf.Positional
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
@@ -14,6 +21,8 @@ Code = tuple[Path, ...]
 
 PICTURES: Final = (".png", ".pdf", ".svg")
 PAGES: Final = (".html",)
+STANDARD: Final = Path("-")  # standard input, or output
+WIDEST: Final = 10_000  # letters in a line off a terminal
 
 
 def read(source: str, index: int | None = None, count: int | None = None) -> list[Any]:
@@ -41,6 +50,51 @@ def read_with_attributes(
     if index >= len(reads):
         raise ValueError(f"{source}: --index must be in 0..{len(reads) - 1}, got {index}")
     return [reads[index]]
+
+
+@contextmanager
+def to_read(path: Path) -> Generator[tuple[Path, str]]:
+    """Gives a file and its name: the file itself, or a copy of standard input, JSON or JSON Lines.
+
+    A document on one line is read as JSON Lines, which is the same.
+    """
+    if path != STANDARD:
+        yield path, f"{path}"
+        return
+    from sg3d_jax.io.files import MAX_BYTES
+
+    data = sys.stdin.buffer.read(MAX_BYTES + 1)  # one more, and it is refused as too large
+    try:
+        json.loads(data.lstrip().split(b"\n", 1)[0])
+        suffix = ".jsonl"
+    except (ValueError, RecursionError):
+        suffix = ".json"
+    with _passing("standard input", suffix) as copy:
+        copy.write_bytes(data)
+        yield copy, "standard input"
+
+
+@contextmanager
+def to_write(path: Path, suffix: str) -> Generator[Path]:
+    """Gives a file to write: the file itself, or one that then goes to standard output."""
+    if path != STANDARD:
+        yield path
+        return
+    with _passing("standard output", suffix) as copy:
+        yield copy
+        sys.stdout.write(copy.read_text(encoding="utf-8"))
+        sys.stdout.flush()
+
+
+@contextmanager
+def _passing(name: str, suffix: str) -> Generator[Path]:
+    """Gives the name of a file that is gone after the block; refusals call it by another name."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"graphs{suffix}"
+        try:
+            yield path
+        except ValueError as error:
+            raise ValueError(f"{error}".replace(f"{path}", name)) from error
 
 
 def run_code(files: Code) -> None:
@@ -72,6 +126,11 @@ def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
         raise ValueError(f"{path}: the name ends in {path.suffix!r}, expected {expected}")
     if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
         raise ValueError(f"{path}: cannot be written, expected a file in a folder that can")
+
+
+def print_table(table: Table) -> None:
+    """Prints a table; off a terminal it is as wide as it must be, so that no cell is cut."""
+    Console(width=None if Console().is_terminal else WIDEST).print(table)
 
 
 def counted(count: int, noun: str = "graph") -> str:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from sg3d_jax.cli.arguments import (
@@ -16,6 +15,7 @@ from sg3d_jax.cli.arguments import (
     check_at_least,
     check_output,
     counted,
+    print_table,
     read,
 )
 from sg3d_jax.io.files import replacing
@@ -233,7 +233,7 @@ def _print_data_sets() -> None:
         size = "" if spec.num_graphs is None else str(spec.num_graphs)
         levels = ", ".join(spec.levels[1:])
         table.add_row(name, size, levels, paper, spec.split, spec.provenance)
-    Console().print(table)
+    print_table(table)
 
 
 def _concepts(graphs: list[Any]) -> list[str]:
@@ -262,4 +262,4 @@ def _print_statistics(
         shown = ["" if count is None else f"{count['mean']:.2f}" for count in counts]
         columns = [mine + theirs for mine, theirs in zip(ours, stated, strict=True)]
         table.add_row(name, *columns, *shown)
-    Console().print(table)
+    print_table(table)

@@ -10,6 +10,7 @@ from sg3d_jax.cli.arguments import (
     Positional,
     check_output,
     counted,
+    read,
     read_with_attributes,
 )
 
@@ -17,7 +18,12 @@ RELOAD: Final = 2.0  # seconds
 
 
 def view(
-    source: Positional[str], output: Output, index: int | None = None, follow: bool = False
+    source: Positional[str],
+    output: Output,
+    index: int | None = None,
+    plan: bool = False,
+    truth: str | None = None,
+    follow: bool = False,
 ) -> None:
     """Draw scene graphs: a picture of one, or an interactive page of all.
 
@@ -28,18 +34,26 @@ def view(
       output: the picture (PNG, PDF, SVG) or the page (HTML, one file that needs no network).
       index: which graph of several; by default the first for a picture, up to the first hundred
         for a page.
+      plan: draw the picture from above, floor by floor, with the names or ids of rooms.
+      truth: of a plan, a file or a data set that has the true graph at the same place: what differs
+        is marked.
       follow: draw a stream of graphs, a line each, as `sg3d follow --graphs` writes it, from a file
         or from standard input (-): the page is written again after every line, and loads itself
         again until the stream ends.
     """
-    from sg3d_jax.io.attributes import node_confidence_of
+    from sg3d_jax.io.attributes import node_confidence_of, node_ids
     from sg3d_jax.viz.figure import save_picture
     from sg3d_jax.viz.page import save_page
+    from sg3d_jax.viz.plan import save_plan
 
+    if plan and follow:
+        raise ValueError("--plan is for a picture of one graph, got --follow")
+    if truth is not None and not plan:
+        raise ValueError("--truth is for --plan, got a truth alone")
     if follow:
         _view_stream(source, output, index)
         return
-    check_output(output, (*PICTURES, *PAGES))
+    check_output(output, PICTURES if plan else (*PICTURES, *PAGES))
     is_page = output.suffix.lower() in PAGES
     reads = read_with_attributes(source, index if is_page else index or 0, 100)
     graphs = [read.graph for read in reads]
@@ -48,6 +62,12 @@ def view(
     if is_page:
         save_page(graphs, output, source, node_confidence=of_nodes, edge_confidence=of_edges)
         print(f"{output}: page of {counted(len(graphs))} of {source}")
+    elif plan:
+        held = reads[0].attributes
+        names = [own.get("name", name) for own, name in zip(held, node_ids(held), strict=True)]
+        true = None if truth is None else read(truth, index or 0)[0]
+        save_plan(graphs[0], output, names, of_nodes[0], true)
+        print(f"{output}: plan of {source}")
     else:
         save_picture(graphs[0], output, node_confidence=of_nodes[0], edge_confidence=of_edges[0])
         print(f"{output}: picture of {source}")

@@ -9,6 +9,7 @@ import tyro
 
 from sg3d_jax.cli.arguments import (
     PICTURES,
+    STANDARD,
     Code,
     Output,
     Positional,
@@ -16,6 +17,8 @@ from sg3d_jax.cli.arguments import (
     check_at_most,
     check_output,
     run_code,
+    to_read,
+    to_write,
 )
 from sg3d_jax.train import DEFAULT_WEIGHTS
 
@@ -45,8 +48,10 @@ def complete(
 
     Args:
       planes: JSON, JSON Lines (a scene a line) or CSV, or graphs whose planes are taken; metres.
-        Ids and further keys are carried to the result, of any format but npz.
-      output: JSON for one graph, or JSON Lines for several: the samples of the first scene first.
+        Ids and further keys are carried to the result, of any format but npz. - for JSON or JSON
+        Lines on standard input.
+      output: JSON for one graph, or JSON Lines for several: the samples of the first scene first. -
+        for standard output.
       picture: also draw the first graph, as PNG, PDF or SVG; fainter where it is unsure.
       samples: graphs a scene.
       candidates: graphs to draw for each of them, fewer once most are alike; what most of them have
@@ -70,16 +75,18 @@ def complete(
     check_at_least("--lanes", 1 if lanes is None else lanes, 1)
     check_at_most("--lanes", lanes or 1, MAX_LANES)
     check_at_least("--seed", seed, 0)
-    check_output(output, GRAPHS)
+    check_output(None if output == STANDARD else output, GRAPHS)
     check_output(picture, PICTURES)
-    scenes = read_with_attributes(planes)
-    names = [f"{planes}: graph {index}" for index in range(len(scenes))]
-    names = names if len(scenes) > 1 else [f"{planes}"]
+    with to_read(planes) as (source, called):
+        scenes = read_with_attributes(source)
+    names = [f"{called}: graph {index}" for index in range(len(scenes))]
+    names = names if len(scenes) > 1 else [called]
     for name, scene in zip(names, scenes, strict=True):
         check_attributes(scene.attributes, name)
     drawn = len(scenes) * samples * (candidates or 1)
     check_at_most("the number of scenes, samples and candidates together", drawn, MAX_DRAWN)
-    check_writable(output, len(scenes) * samples, "json")
+    if output != STANDARD:
+        check_writable(output, len(scenes) * samples, "json")
     run_code(code)
     trained = _trained(weights, diffusion_steps)
     grown = complete_scenes(
@@ -115,20 +122,21 @@ def complete(
         for completion, held, place in made
     ]
     graphs = [completion.graph for completion, _, _ in made]
-    write_graphs(
-        output,
-        graphs,
-        extras=extras,
-        attributes=[with_confidence(held, one.node_confidence) for one, held, _ in made],
-        edge_confidence=[one.edge_confidence for one, _, _ in made],
-    )
+    with to_write(output, GRAPHS[len(graphs) > 1]) as path:
+        write_graphs(
+            path,
+            graphs,
+            extras=extras,
+            attributes=[with_confidence(held, one.node_confidence) for one, held, _ in made],
+            edge_confidence=[one.edge_confidence for one, _, _ in made],
+        )
     _say_what_was_grown(output, graphs, extras)
     for name, of_scene in zip(names, grown, strict=True):
         _say_remarks(name, [completion.remarks for completion in of_scene])
     if picture is not None:
         first, _, _ = made[0]
         save_picture(first.graph, picture, None, first.node_confidence, first.edge_confidence)
-        print(f"{picture}: picture of scene 0 sample 0")
+        _say(f"{picture}: picture of scene 0 sample 0", output)
 
 
 def train(name: Positional[str], overrides: tyro.conf.Suppress[tuple[str, ...]] = ()) -> None:
@@ -203,6 +211,11 @@ def _ids_by_concept(completion: Any, attributes: Any) -> dict[str, dict[str, lis
     }
 
 
+def _say(text: str, output: Path) -> None:
+    """Prints what was written; on stderr if the graphs themselves are on standard output."""
+    print(text, file=sys.stderr if output == STANDARD else sys.stdout)
+
+
 def _say_remarks(name: str, remarks: list[tuple[str, ...]]) -> None:
     """Prints the remarks on the samples of a scene, those that all have once."""
     shared = [remark for remark in remarks[0] if all(remark in of_one for of_one in remarks)]
@@ -222,9 +235,10 @@ def _say_what_was_grown(output: Path, graphs: list, extras: list[dict[str, Any]]
         labels = graph.nodes.label.tolist()
         counts = [(labels.count(i), c) for i, c in enumerate(ontology_of(graph).concepts)]
         shown = ", ".join(f"{n} {c.name if n == 1 else c.layer.lower()}" for n, c in counts if n)
-        print(f"{output}: scene {extra['scene']} sample {extra['sample']}: {shown}")
+        place = f"scene {extra['scene']} sample {extra['sample']}"
+        _say(f"{output}: {place}: {shown}", output)
     if len(graphs) > 8:
-        print(f"{output}: {len(graphs)} graphs in all")
+        _say(f"{output}: {len(graphs)} graphs in all", output)
     for extra in extras:
         if extra["halt_reason"] in INCOMPLETE:
             print(

@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from rich.console import Console
 from rich.table import Table
 
 from sg3d_jax.cli.arguments import (
@@ -20,6 +19,7 @@ from sg3d_jax.cli.arguments import (
     check_at_most,
     check_output,
     counted,
+    print_table,
     run_code,
 )
 from sg3d_jax.cli.provenance import provenance
@@ -147,7 +147,7 @@ def sheet(
     seed: int = 0,
     code: Code = (),
 ) -> None:
-    """Draw what methods make of the same scenes: a row a method, the truth below.
+    """Draw what methods make of the same scenes: a row a method with its FGW, the truth below.
 
     Args:
       methods: as for evaluate, all of one data set.
@@ -159,6 +159,7 @@ def sheet(
       seed: of the samples.
       code: Python files to run first, which register the methods of your own weights.
     """
+    from sg3d_jax.metrics.fgw import fgw_pairs
     from sg3d_jax.train.dataset import load_split
     from sg3d_jax.train.evaluation import load_contender
     from sg3d_jax.viz.figure import contact_sheet
@@ -181,8 +182,14 @@ def sheet(
     if first >= len(scenes):
         raise ValueError(f"--first must be in 0..{len(scenes) - 1}, got {first}")
     scenes = scenes[first : first + num_graphs]
-    rows = [(TITLES.get(m.name, m.name), m.complete(scenes, seed).graphs) for m in chosen]
-    contact_sheet([*rows, ("truth", scenes)], output)
+    rows, captions = [], []
+    for method in chosen:
+        graphs = method.complete(scenes, seed).graphs
+        rows.append((TITLES.get(method.name, method.name), graphs))
+        scores = fgw_pairs(graphs, [method.target(scene) for scene in scenes]).value
+        captions += [_caption(*pair) for pair in enumerate(scores.tolist(), first)]
+    captions += [str(index) for index in range(first, first + len(scenes))]
+    contact_sheet([*rows, ("truth", scenes)], output, captions)
     print(f"{output}: {counted(len(chosen), 'method')} on {counted(len(scenes), 'scene')}")
 
 
@@ -224,7 +231,7 @@ def _print_scores(content: dict[str, Any]) -> None:
     for kind, seen in content["runs"][0]["failures"].items():
         shown.add_row(f"graphs with {kind}", f"{seen['share']:.2%}")
     shown.add_row("seconds, compilation included", f"{sum(content['seconds']):.1f}")
-    Console().print(shown)
+    print_table(shown)
 
 
 def _write_row(path: Path, content: dict[str, Any]) -> None:
@@ -246,9 +253,15 @@ def _draw_worst(path: Path, graphs: list, truth: list, fgw: list[float], count: 
     from sg3d_jax.viz.figure import contact_sheet
 
     worst = sorted(range(len(fgw)), key=lambda index: -fgw[index])[:count]
-    rows = []
+    rows, captions = [], []
     for first in range(0, len(worst), 5):
         chosen = worst[first : first + 5]
         rows.append(("truth", [truth[i] for i in chosen]))
         rows.append(("made", [graphs[i] for i in chosen]))
-    contact_sheet(rows, path)
+        captions += [*map(str, chosen), *(_caption(i, fgw[i]) for i in chosen)]
+    contact_sheet(rows, path, captions)
+
+
+def _caption(index: int, fgw: float) -> str:
+    """Returns what is printed above a graph: the place of its scene in the split, and its FGW."""
+    return f"{index}: FGW {fgw:.3f}"

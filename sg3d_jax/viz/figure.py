@@ -86,15 +86,15 @@ def draw_graph(
     azimuth, scale = view_of(graph), scale * crowding(graph)
     nodes = project(lifted(graph), azimuth)
     edges = nodes[undirected_edges(graph, PART_OF)]
-    _add_lines(axes, edges, _colours(EDGE_COLOUR, edge_confidence), EDGE_WIDTH * scale, zorder=1)
+    add_lines(axes, edges, colours_of(EDGE_COLOUR, edge_confidence), EDGE_WIDTH * scale, zorder=1)
     sure = None if node_confidence is None else np.asarray(node_confidence)
     for concept in np.flatnonzero(are_segments(ontology_of(graph))).tolist():
         planes = project(plane_segments(graph, concept), azimuth)
-        colours = _colours(styles[concept].colour, sure, label == concept)
-        _add_lines(axes, planes, colours, PLANE_WIDTH * scale, zorder=2)
+        colours = colours_of(styles[concept].colour, sure, label == concept)
+        add_lines(axes, planes, colours, PLANE_WIDTH * scale, zorder=2)
     for concept in sorted(set(label.tolist())):
         style, dots = styles[concept], nodes[label == concept].T
-        colours = _colours(style.colour, sure, label == concept)
+        colours = colours_of(style.colour, sure, label == concept)
         drawn = axes.scatter(*dots, s=(style.size * scale) ** 2, c=colours)
         drawn.set(edgecolor="white", linewidth=0.7 * scale, zorder=3 + concept)
     axes.set(aspect="equal", xticks=[], yticks=[])
@@ -127,7 +127,7 @@ def save_picture(
     figure = _draw_rows([[_Drawn(graph, node_confidence, edge_confidence)]], PICTURE_WIDTH)
     if title:
         figure.suptitle(title)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def contact_sheet(
@@ -155,7 +155,7 @@ def contact_sheet(
     for axes, caption in zip(figure.axes, captions, strict=False):
         axes.set_adjustable("datalim")  # every axes fills its cell, so that captions align
         axes.set_title(caption, fontsize=CAPTION_SIZE, color=CAPTION_COLOUR)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def dataset_sheet(
@@ -199,14 +199,14 @@ def _height_by_width(axes: Axes) -> float:
     return float(np.clip(height / max(width, 1e-9), 0.4, 1.2))
 
 
-def _colours(
+def colours_of(
     colour: str, confidence: np.ndarray | None, chosen: np.ndarray | slice = slice(None)
 ) -> str | list[str]:
     """Returns one colour for all, or that of each chosen one."""
     return colour if confidence is None else faded(colour, np.asarray(confidence)[chosen])
 
 
-def _add_lines(
+def add_lines(
     axes: Axes, ends: np.ndarray, colours: str | list[str], width: float, zorder: int
 ) -> None:
     """Draws lines between pairs of points, float[n, 2, 2]."""
@@ -224,7 +224,7 @@ def _add_legend(figure: Figure, drawn: Sequence[_Drawn]) -> None:
             present.setdefault(name, (label, _handle(ontology_of(graph), label)))
     handles = [handle for _, handle in sorted(present.values(), key=lambda pair: pair[0])]
     if any(part is not None for _, *confidence in drawn for part in confidence):
-        handles.append(_faint_handle())
+        handles.append(faint_handle())
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 
@@ -236,14 +236,20 @@ def _handle(ontology: Ontology, concept: int) -> Line2D:
     return handle
 
 
-def _faint_handle() -> Line2D:
+def faint_handle() -> Line2D:
+    """Returns the line of a legend that says what is faint."""
     (colour,) = faded(EDGE_COLOUR, np.array([0.5]))
     handle = Line2D([], [], color=colour, label=FAINT, linewidth=PLANE_WIDTH)
     handle.set(marker="o", markersize=LEAST_SIZE, markeredgewidth=0)
     return handle
 
 
-def _save(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Writes a figure to a file whose suffix names the format.
+
+    Raises:
+      ValueError: the format is unknown or the file cannot be written.
+    """
     suffix = Path(path).suffix[1:].lower()
     known = figure.canvas.get_supported_filetypes()
     if suffix not in known:

@@ -4,7 +4,6 @@ import numpy.testing as npt
 import pytest
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from sg3d_jax.scene.graph import make_graph
@@ -22,16 +21,6 @@ from sg3d_jax.viz.style import (
 from tests.viz.small_city import one_room, small_city
 
 STYLES = styles_of(PAPER_ONTOLOGY)
-
-
-@pytest.fixture
-def figures(monkeypatch):
-    """Returns the figures that are saved during a test."""
-    saved = []
-    monkeypatch.setattr(
-        Figure, "savefig", lambda self, path, **_: (saved.append(self), path.touch())
-    )
-    return saved
 
 
 def test_the_graph_is_not_changed_by_drawing():
