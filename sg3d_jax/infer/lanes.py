@@ -6,9 +6,9 @@ What a lane makes of its scene does not depend on the other lanes, nor on how ma
 import itertools
 import operator
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity, bucket, stack, unp
 LANES = 256  # scenes that an accelerator grows together at most, and
 LANE_NODES = 32_768  # nodes of all of them
 MAX_OBSERVED = 1133  # that with what grows from them fit the largest bucket
+_programs: Final[set[Hashable]] = set()  # that this process has compiled
 WORD = 32  # bits of a seed that JAX takes at once
 
 
@@ -194,7 +195,10 @@ def complete_lanes(
             missing = [scenes[job.scene].num_missing for job in padded]
             return _run(model, params, padded, missing, capacity, seed, max_steps)
 
-        for job, result in zip(jobs, itertools.chain(*_side_by_side(run, batches)), strict=False):
+        program = model, capacity, width, max_steps
+        results = _side_by_side(run, batches, first_alone=program not in _programs)
+        _programs.add(program)
+        for job, result in zip(jobs, itertools.chain(*results), strict=False):
             if result.halt_reason == CAPACITY and outgrow and capacity < _most(scenes[job.scene]):
                 larger = bucket(capacity.nodes + 1)
                 later = Job(job.scene, job.sample, result.graph, result.steps)
@@ -205,13 +209,14 @@ def complete_lanes(
 
 
 def _side_by_side(
-    run: Callable[[list[Any]], list[Any]], batches: Sequence[list[Any]]
+    run: Callable[[list[Any]], list[Any]], batches: Sequence[list[Any]], first_alone: bool
 ) -> list[list[Any]]:
-    """Runs batches in threads; the first alone, so that their program is compiled once.
+    """Runs batches in threads, on request the first alone, so that a program is compiled once.
 
     What JAX is told for one thread, such as by `jax.default_device`, is so in all.
     """
-    results = [run(batch) for batch in batches[:1]]
+    number = int(first_alone)
+    results = [run(batch) for batch in batches[:number]]
     told: Any = jax.config
     device, checks = told.jax_default_device, told.jax_debug_key_reuse
 
@@ -221,7 +226,7 @@ def _side_by_side(
 
     pool = ThreadPoolExecutor(num_workers())
     try:
-        return [*results, *pool.map(as_here, batches[1:])]
+        return [*results, *pool.map(as_here, batches[number:])]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # after Ctrl-C nothing more is begun
 
