@@ -6,7 +6,7 @@ What a lane makes of its scene does not depend on the other lanes, nor on how ma
 import itertools
 import operator
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
@@ -26,7 +26,7 @@ from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity, bucket, stack, unp
 LANES = 256  # scenes that an accelerator grows together at most, and
 LANE_NODES = 32_768  # nodes of all of them
 MAX_OBSERVED = 1133  # that with what grows from them fit the largest bucket
-_programs: Final[set[Hashable]] = set()  # that this process has compiled
+_programs: Final[set[Any]] = set()  # that this process has compiled
 WORD = 32  # bits of a seed that JAX takes at once
 
 
