@@ -95,16 +95,20 @@ def revised(
     inside = np.isin(np.arange(len(stays)), verdict.stands[over.rows])
     changed = (over.known != part_of).any(axis=0)
     agrees = verdict.told.any(axis=0) & (verdict.told == part_of)[inside].all(axis=0)
-    is_as_drawn = changed & agrees & ~over.firm & ~part_of[~inside].any(axis=0)
-    is_as_drawn[over.new] = True
-    there = _padded(known.graph.nodes.position, len(over.new))
-    position = there.copy()
-    position[verdict.stands[over.new]] = drawn.nodes.position[len(region.rows) :]
-    position[~is_as_drawn] = there[~is_as_drawn]
-    lasting = there, position, over.known, part_of, over.label, over.ontology, ~is_as_drawn
-    graph = _with_nodes(known.graph, over.label, followed(*lasting), part_of)
     again = over.open & (verdict.told | (part_of & inside[:, None])).any(axis=0)
     tracks = Tracks(*(_padded(field, len(over.new)) for field in known.tracks))
+    is_drawn = agrees & ~over.firm & ~part_of[~inside].any(axis=0)
+    share = (is_drawn & changed).astype(float)  # of where a node is that the draw decides
+    share[over.new] = 1.0
+    if not tracks.due.any():  # the map is thought over: places become the mean of all draws
+        thought = is_drawn & again & ~changed
+        share[thought] = 1 / (1 + tracks.held[thought])
+    there = _padded(known.graph.nodes.position, len(over.new))
+    drawn_at = there.copy()
+    drawn_at[verdict.stands[over.new]] = drawn.nodes.position[len(region.rows) :]
+    position = there + share[:, None] * (drawn_at - there)
+    lasting = there, position, over.known, part_of, over.label, over.ontology, share == 0
+    graph = _with_nodes(known.graph, over.label, followed(*lasting), part_of)
     tracks.id[over.new], tracks.born[over.new] = -1, update
     tracks = tracks._replace(
         drawn=np.where(changed, 1, tracks.drawn + again),

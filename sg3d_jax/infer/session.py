@@ -6,7 +6,8 @@ stays bit for bit, and what goes on keeps its id. What moved as one, such as by 
 loop, takes along what stands above it, and nothing is drawn again.
 
 Where nothing is touched, an update that is asked to think has the whole map drawn again, and what
-is so drawn twice in a row is taken over: for when the robot stands, or is done.
+is so drawn twice in a row is taken over; what is drawn as it is stands where all such draws have it
+in the mean. That is for when the robot stands, or is done.
 
 A session is a pytree and an update a pure function: the same changes give the same map, bit for
 bit. The part on the device runs in a few buckets of fixed size, however large the map.

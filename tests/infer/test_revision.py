@@ -53,7 +53,7 @@ def wholes(known: Map) -> dict[int, tuple[int, set[int]]]:
 
 
 def test_a_draw_that_agrees__changes_nothing_but_what_is_known_of_it():
-    known = known_as(BOTH, astray=1)
+    known = known_as(BOTH, due=(0,), astray=1)
     after = redrawn(known, drawn(EAST, WEST, walls=[(1, 4)], at=3.0))
     assert wholes(after) == wholes(known)
     npt.assert_array_equal(after.graph.nodes.position, BOTH.nodes.position)
@@ -61,6 +61,17 @@ def test_a_draw_that_agrees__changes_nothing_but_what_is_known_of_it():
     assert (after.tracks.held[8:] == 2).all()
     assert (after.tracks.born[8:] == 1).all()
     assert not after.tracks.astray[:8, [WALL, ROOM]].any()
+
+
+def test_where_a_map_is_thought_over__places_become_the_mean_of_all_draws():
+    known, there = known_as(BOTH), BOTH.nodes.position
+    for number, x in ((2, 3.0), (3, 6.0)):
+        known = redrawn(known, drawn(EAST, WEST, walls=[(1, 4)], at=x))
+        there = there + (np.arange(12) >= 8)[:, None] * ([x, 0, 0] - there) / number
+        npt.assert_allclose(known.graph.nodes.position, there)
+    firm = known_as(BOTH, firm=(8,))
+    after = redrawn(firm, drawn(EAST, WEST, walls=[(1, 4)], at=3.0))
+    npt.assert_array_equal(after.graph.nodes.position[8], BOTH.nodes.position[8])
 
 
 def test_a_draw_that_differs__is_taken_over_the_second_time_in_a_row():
