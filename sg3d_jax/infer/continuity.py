@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.infer.revision import Map, Tracks, followed, part_of_matrix, pruned
+from sg3d_jax.infer.revision import Map, Tracks, followed, pruned
 from sg3d_jax.scene.cut import Pieces
-from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first
+from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, part_of_matrix, parts_first
 
 GREW: Final = 0.3  # metres by which a piece may have grown or shrunk at an end and be the same
 KEPT: Final = 0.05  # metres by which a width may change and the node have only moved

@@ -17,7 +17,7 @@ from sg3d_jax.scene.graph import (
     undirected_edges,
 )
 from sg3d_jax.scene.ontology import PART_OF, Ontology
-from sg3d_jax.scene.validate import LEAST_OBSERVED, UNIT_TOLERANCE, check_count
+from sg3d_jax.scene.validate import UNIT_TOLERANCE, check_count
 
 NORMALS: Final = ("check", "as-given")
 MAX_LEAN: Final = 15  # degrees off the vertical; what S-Graphs takes for a wall leans less
@@ -42,7 +42,7 @@ class _Upright(NamedTuple):
 
 
 def taken_in(
-    scene: SceneGraph, where: str, normals: str = "check", least: int = LEAST_OBSERVED
+    scene: SceneGraph, where: str, normals: str = "check", may_be_few: bool = False
 ) -> Intake:
     """Mends the observed nodes of a host graph that `check_observed` lets through.
 
@@ -58,13 +58,14 @@ def taken_in(
       scene: float64, observed nodes or more; metres.
       where: what a refusal starts with, such as "planes.jsonl: scene 3".
       normals: one of `NORMALS`; "as-given" turns none.
-      least: how many observed nodes must be left.
+      may_be_few: whether fewer than two observed nodes may be left.
 
     Returns:
       What is left, in its order.
 
     Raises:
-      ValueError: fewer observed nodes are left, or there is no such choice of normals.
+      ValueError: fewer than two observed nodes are left, and may not be, or there is no such choice
+        of normals.
     """
     if normals not in NORMALS:
         raise ValueError(f"normals is {normals!r:.40}, expected {' or '.join(NORMALS)}")
@@ -86,7 +87,7 @@ def taken_in(
         if chosen.any()
     ]
     left = nodes.label[rows][nodes.observed[rows]]
-    if len(left) < least:
+    if not may_be_few:
         check_count(left, ontology, where, f", having {' and '.join(remarks)}" if remarks else "")
     graph = _reduced(mended, rows, first)
     turned, judged = _judged(graph, normals)

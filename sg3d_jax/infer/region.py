@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.graph import SceneGraph, parts_first
+from sg3d_jax.scene.graph import SceneGraph, part_of_matrix
 
 CONTEXT: Final = 36  # observed nodes of a region, unless the change alone has more
 STOREY: Final = 4.0  # a height difference counts as a way so many times as long
@@ -63,11 +63,7 @@ def whole_region(graph: SceneGraph, firm: np.ndarray) -> Region:
 
 def members_of(graph: SceneGraph) -> np.ndarray:
     """Returns bool[n, n], which observed node (row) is part of which grown one (column)."""
-    members = np.zeros((len(graph.nodes.label),) * 2, bool)
-    part, whole = parts_first(graph).T
-    observed = np.asarray(graph.nodes.observed)[part]
-    members[part[observed], whole[observed]] = True
-    return members
+    return part_of_matrix(graph) & np.asarray(graph.nodes.observed)[:, None]
 
 
 def _reached(graph: SceneGraph, members: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from sg3d_jax.scene.graph import (
     features_of,
     make_graph,
     ontology_of,
-    parts_first,
+    part_of_matrix,
     subgraph,
 )
 from sg3d_jax.scene.ontology import Ontology
@@ -183,11 +183,6 @@ def observed_below(
     return frozenset(np.flatnonzero(below & ontology.is_observed[label]).tolist())
 
 
-def part_of_matrix(graph: SceneGraph) -> np.ndarray:
-    """Returns the part-of edges of a host graph as bool[n, n], part and whole."""
-    return _matrix(graph, np.arange(len(graph.nodes.label)), len(graph.nodes.label))
-
-
 def _overlaid(known: Map, region: Region, drawn: SceneGraph) -> _Overlay:
     """Brings a map and a draw to common rows."""
     num_known, num_given = len(known.graph.nodes.label), len(region.rows)
@@ -343,8 +338,7 @@ def _padded(field: np.ndarray, further: int) -> np.ndarray:
 def _matrix(graph: SceneGraph, rows: np.ndarray, size: int) -> np.ndarray:
     """Returns the part-of edges of a graph as bool[n, n], part and whole, in other rows."""
     matrix = np.zeros((size, size), bool)
-    part, whole = rows[parts_first(graph)].T
-    matrix[part, whole] = True
+    matrix[np.ix_(rows, rows)] = part_of_matrix(graph)
     return matrix
 
 

@@ -34,7 +34,6 @@ from sg3d_jax.infer.revision import (
     Map,
     Tracks,
     observed_below,
-    part_of_matrix,
     revised,
     without,
 )
@@ -46,6 +45,7 @@ from sg3d_jax.scene.graph import (
     features_of,
     make_graph,
     ontology_of,
+    part_of_matrix,
     parts_first,
     subgraph,
 )
@@ -124,7 +124,7 @@ def update(
     where = f"update {number}"
     observed, ids = _told(session, changes, where)
     known, banned = _decided(session, changes, where)
-    intake = taken_in(observed, where, least=0)
+    intake = taken_in(observed, where, may_be_few=True)
     cut = cut_observed(intake.graph)
     pieces = cut._replace(owner=intake.source[cut.owner])
     before = Seen(session.observed, session.ids, session.pieces)

@@ -149,6 +149,14 @@ def parts_first(graph: SceneGraph) -> np.ndarray:
     return np.take_along_axis(pairs, order, axis=1)
 
 
+def part_of_matrix(graph: SceneGraph) -> np.ndarray:
+    """Returns the part-of edges of a host graph as bool[n, n], part (row) and whole (column)."""
+    matrix = np.zeros((len(graph.nodes.label),) * 2, bool)
+    part, whole = parts_first(graph).T
+    matrix[part, whole] = True
+    return matrix
+
+
 def subgraph(graph: SceneGraph, rows: Array, edges: bool = True) -> SceneGraph:
     """Returns the host graph of some nodes, with the edges between them.
 

@@ -9,12 +9,11 @@ from sg3d_jax.infer.revision import (
     Map,
     followed,
     observed_below,
-    part_of_matrix,
     pruned,
     revised,
     without,
 )
-from sg3d_jax.scene.graph import SceneGraph, make_graph, parts_first, subgraph
+from sg3d_jax.scene.graph import SceneGraph, make_graph, part_of_matrix, parts_first, subgraph
 from sg3d_jax.scene.ontology import (
     BUILDING,
     CITY,
