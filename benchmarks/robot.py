@@ -33,7 +33,7 @@ from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split
 from sg3d_jax.train.weights import Trained, load_weights
 
-EFFECTS = ("", *(f"@{name}" for name in VIEWS))
+EFFECTS = ("", *(f"@{name}" for name in VIEWS if not name.endswith("bare")))
 THICKNESSES = (0.09, 0.15, 0.20, 0.30, 0.40)  # metres
 FLOORS_OF_FIVE = 10
 RESULTS = Path(__file__).parent / "results"

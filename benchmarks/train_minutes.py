@@ -2,7 +2,8 @@
 
 The learning rate follows the clock, not a number of steps: a machine that is lent for ten minutes
 is used to the last of them, however fast it is. Graphs are made in as many processes, and buckets
-compiled in as many threads, as there are cores.
+compiled in as many threads, as there are cores. Of several devices each takes a batch of every
+step, and the rate grows by the square root of their number (docs/scaling.md).
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """
@@ -26,8 +27,9 @@ from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import numbered_parts, slots_of, training_set
 from sg3d_jax.train.loop import bucket_of_call, compile_calls, prepare, start_from_weights
 from sg3d_jax.train.presets import find_config
+from sg3d_jax.train.processes import on_all_devices
 from sg3d_jax.train.statistics import shares_of
-from sg3d_jax.train.step import init_state, make_optimiser, make_train_call
+from sg3d_jax.train.step import init_state, make_optimiser, make_train_call, mesh_of
 from sg3d_jax.train.weights import save_weights
 
 MOMENTS = 1000  # of the time, as the schedule of the learning rate counts it,
@@ -58,6 +60,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="the weights, npz")
     parser.add_argument("--batch", type=int, help="graphs a step; as configured by default")
     parser.add_argument("--batch-nodes", type=int, help="but at most so many slots of nodes")
+    parser.add_argument("--accumulate", type=int, help="batches a step; one a device by default")
     parser.add_argument("--views", type=int, help="of each graph of a set that a robot sees")
     parser.add_argument("--num-graphs", type=int, help="of each set")
     parser.add_argument("--initial", help="weights to start from")
@@ -69,7 +72,9 @@ def main() -> None:
     config = find_config(given["config"])
     data = {name: given[name] for name in ("views", "num_graphs") if name in given}
     data |= {"name": given["data"]} if "data" in given else {}
-    fields = {name: given[name] for name in ("batch", "batch_nodes", "initial") if name in given}
+    given.setdefault("accumulate", len(jax.devices()))
+    names = "batch", "batch_nodes", "accumulate", "initial"
+    fields = {name: given[name] for name in names if name in given}
     data = dataclasses.replace(config.data, **data)
     config = dataclasses.replace(config, data=data, **fields, steps_per_call=50)
     said(f"{jax.devices()}")
@@ -80,12 +85,13 @@ def main() -> None:
     shares = shares_of(run.stacks)
     said(f"stacks of {[s.nodes.mask.shape for s in run.stacks]}, shares {shares.round(3).tolist()}")
     optimiser = optax.inject_hyperparams(lambda rate: make_optimiser(config, rate))(rate=0.0)
-    peak = config.optimiser.learning_rate
+    peak = config.optimiser.learning_rate * config.accumulate**0.5
     schedule = optax.warmup_cosine_decay_schedule(0.0, peak, WARMUP, MOMENTS)
     one = jax.tree.map(lambda leaf: leaf[0], run.stacks[0])
     state = start_from_weights(config, init_state(config, run.model, one, optimiser))
-    key = root_key(config.seed + 1)
-    calls = compile_calls(make_train_call(config, run.model, optimiser), state, key, run.stacks)
+    given = jax.tree.map(jax.numpy.copy, state), root_key(config.seed + 1), run.stacks
+    state, key, stacks = on_all_devices(given, mesh_of(config))
+    calls = compile_calls(make_train_call(config, run.model, optimiser), state, key, stacks)
     said("compiled")
     first, log = time.monotonic(), []
     seconds = max(60 * arguments.minutes - (first - began), 1e-3)
@@ -94,7 +100,7 @@ def main() -> None:
         given = state.optimiser._replace(hyperparams={"rate": rate})
         bucket = bucket_of_call(config, shares, len(log))
         start = time.monotonic()
-        state, metrics = calls[bucket](state._replace(optimiser=given), key, run.stacks[bucket])
+        state, metrics = calls[bucket](state._replace(optimiser=given), key, stacks[bucket])
         metrics = {name: float(value) for name, value in metrics.items()}
         per_step = (time.monotonic() - start) / config.steps_per_call
         log.append({"bucket": bucket, "seconds_per_step": per_step, "rate": float(rate), **metrics})

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from sg3d_jax.fill.constraints import Rules
     from sg3d_jax.fill.protocol import Fill, Statistics
     from sg3d_jax.flagg.grow import Grown, grow
-    from sg3d_jax.infer.complete import Completion, complete
+    from sg3d_jax.infer.complete import Completion, complete, complete_each
     from sg3d_jax.io.formats import (
         read_graphs,
         read_planes,
@@ -75,6 +75,7 @@ __all__ = [
     "Statistics",
     "bucket",
     "complete",
+    "complete_each",
     "draw_graph",
     "entropic_fgw",
     "fgw",
@@ -115,7 +116,7 @@ _NAMES = {
     "fill.constraints": ("Rules",),
     "fill.protocol": ("Fill", "Statistics"),
     "flagg.grow": ("Grown", "grow"),
-    "infer.complete": ("Completion", "complete"),
+    "infer.complete": ("Completion", "complete", "complete_each"),
     "io.formats": ("read_graphs", "read_planes", "read_with_attributes", "write_graphs"),
     "io.networkx": ("from_networkx", "to_networkx"),
     "io.planes": ("planes",),

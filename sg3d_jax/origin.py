@@ -5,7 +5,7 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-VERSION: Final = "0.1.0"
+VERSION: Final = "0.2.0"
 PACKAGE: Final = Path(__file__).parent
 CLONE: Final = PACKAGE.parent
 

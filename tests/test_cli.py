@@ -132,7 +132,9 @@ def test_a_graph_that_did_not_come_to_its_end_is_warned_of(weights, capsys, monk
     grown = completing.Completion(
         small_floors()[0], "CAPACITY", 3, np.arange(4), sure, (), np.ones(4, int)
     )
-    monkeypatch.setattr(completing, "complete", lambda *arguments, **options: [[grown]])
+    monkeypatch.setattr(
+        completing, "complete_each", lambda *arguments, **options: (one for one in [[grown]])
+    )
     run("complete", write("a.json", SCENES[0]), "-o", "graph.json", "--weights", weights)
     warning = "sg3d: warning: scene 0 sample 0 stopped by CAPACITY, so its graph is incomplete\n"
     assert capsys.readouterr().err == warning
@@ -276,7 +278,8 @@ def test_walls_may_be_exported_as_metadata():
     for walls in ("edges", "metadata"):
         run("export", "s-f", "-o", "a.json", "--to", "spark-dsg", "--index", 0, "--walls", walls)
         with open("a.json") as file:
-            layers = {json.dumps(node["layer"]) for node in json.load(file)["nodes"]}
+            nodes = json.load(file)["nodes"]
+        layers = {(node["layer"], node["partition"]) for node in nodes}
         assert len(layers) == 4
     assert len(read_graphs("a.json")[0].nodes.label) == len(registry.make("s-f", 1)[0].nodes.label)
 
@@ -459,6 +462,7 @@ def test_help_names_every_command(capsys, arguments):
     [
         (["complete"], ["planes", "--picture", "--samples", "--seed", "--weights"]),
         (["view"], ["--index", "--plan", "--truth"]),
+        (["compile"], ["--planes", "--samples"]),
         (["evaluate"], ["--num-graphs", "--split", "--seeds", "--sheet"]),
         (["table"], ["--to", "latex"]),
         (["sheet"], ["--num-graphs", "--first", "--seed"]),

@@ -10,7 +10,7 @@ from sg3d_jax.train import DEFAULT_WEIGHTS
 from sg3d_jax.train.card import Card, Score
 from sg3d_jax.train.weights import load_weights, names, save_weights
 from tests.command_line import SCENES, run, write
-from tests.tiny_run import untrained_weights
+from tests.tiny_run import ROOT, untrained_weights
 
 CARD = Card(7, {"number": (4.0, 5.0), "extent": (1.0, 50.0)}, (Score("s-f", 3, 0.25, 0.5),), "once")
 
@@ -47,6 +47,14 @@ def test_all_weights_of_the_package_have_a_card_with_scores(capsys):
         assert card.scores, name
     assert DEFAULT_WEIGHTS in names()
     assert load_weights().name == DEFAULT_WEIGHTS
+
+
+def test_the_cards_in_the_documentation_are_those_of_the_weights(tmp_path):
+    run("weights", "-o", "weights.md")
+    written = (tmp_path / "weights.md").read_text()
+    assert all(f"\n## {name}" in written for name in names())
+    stale = "run `sg3d weights -o docs/weights.md`"
+    assert written == (ROOT / "docs" / "weights.md").read_text(), stale
 
 
 def test_a_scene_unlike_those_of_the_training_is_said_to_be(tmp_path, capsys):

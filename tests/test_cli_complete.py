@@ -1,6 +1,7 @@
 """`sg3d complete`: what is given, what is kept, and what is said of both."""
 
 import io
+import itertools
 import json
 
 import jax
@@ -8,10 +9,20 @@ import numpy as np
 import pytest
 
 from sg3d_jax import cli
+from sg3d_jax.infer import complete as completing
 from sg3d_jax.io.formats import read_graphs, write_graphs
 from sg3d_jax.scene.graph import subgraph, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF
-from tests.command_line import SCENES, as_csv, documents, observed, refusal, run, write
+from tests.command_line import (
+    SCENES,
+    as_csv,
+    documents,
+    observed,
+    refusal,
+    run,
+    write,
+    write_lines,
+)
 from tests.tiny_run import small_floors, untrained_weights
 
 
@@ -259,3 +270,43 @@ def test_remarks_name_the_graph_of_a_file_of_several(weights, capsys):
     run("complete", "planes.jsonl", "-o", "graphs.jsonl", "--weights", weights)
     said = "sg3d: remark: planes.jsonl: graph 1: left out 1 plane (lean of more than 15 degrees)"
     assert said in capsys.readouterr().err.splitlines()
+
+
+def stopped_after(monkeypatch, module, name, count, error):
+    """Lets completing scene by scene end like that after so many."""
+    each = getattr(module, name)
+
+    def stopped(*arguments, **options):
+        yield from itertools.islice(each(*arguments, **options), count)
+        raise error
+
+    monkeypatch.setattr(module, name, stopped)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError("no room")])
+def test_what_is_done_is_kept_however_it_ends(weights, capsys, monkeypatch, error):
+    write_lines("planes.jsonl", SCENES)
+    arguments = "complete", "planes.jsonl", "--weights", weights, "--candidates", 1, "-o"
+    run(*arguments, "whole.jsonl")
+    capsys.readouterr()
+    stopped_after(monkeypatch, completing, "complete_each", 2, error)
+    with pytest.raises(SystemExit):
+        run(*arguments, "graphs.jsonl")
+    assert documents("graphs.jsonl") == documents("whole.jsonl")[:2]
+    said = "sg3d: graphs.jsonl: has 2 of 3 graphs, all that were done"
+    assert capsys.readouterr().err.splitlines()[-2] == said
+
+
+def test_graphs_are_written_one_by_one(weights, monkeypatch):
+    seen = []
+    each = completing.complete_each
+
+    def watched(*arguments, **options):
+        for one in each(*arguments, **options):
+            seen.append(len(documents("graphs.jsonl")))
+            yield one
+
+    write_lines("planes.jsonl", SCENES)
+    monkeypatch.setattr(completing, "complete_each", watched)
+    run("complete", "planes.jsonl", "--weights", weights, "--samples", 2, "-o", "graphs.jsonl")
+    assert seen == [0, 2, 4]

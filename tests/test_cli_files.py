@@ -6,11 +6,14 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
-from sg3d_jax.io.attributes import node_confidence_of
+from sg3d_jax.cli.files import _names_of
+from sg3d_jax.data import registry
+from sg3d_jax.io.attributes import Read, node_confidence_of
 from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs
 from sg3d_jax.io.json import graph_to_dict
 from sg3d_jax.scene.graph import observed_of, parts_first
 from tests.command_line import SCENES, as_csv, refusal, run, write
+from tests.furnished_rooms import furnished_rooms
 from tests.two_rooms import two_rooms
 
 NODES = np.linspace(0, 1, 12)
@@ -73,6 +76,11 @@ def test_a_view_is_faint_where_the_file_is_unsure(monkeypatch):
     npt.assert_array_equal(page["node_confidence"][0], node_confidence_of(ATTRIBUTES))
     assert page["node_confidence"][1] is None
     assert page["edge_confidence"] == [None, None]
+    assert page["node_names"] == [
+        [7, "n1", 9, "n3", 11, "n5", 13, "n7", 15, "n9", 17, "n11"],
+        [*range(12)],
+    ]
+    assert page["truth"] is None
     assert picture["node_confidence"] is None
     npt.assert_array_equal(picture["edge_confidence"], EDGES)
 
@@ -92,6 +100,10 @@ def test_a_plan_has_the_names_of_a_file_and_what_differs_from_a_truth(monkeypatc
     monkeypatch.setattr("sg3d_jax.viz.plan.save_plan", lambda *said: drawn.append(said))
     run("view", "a.json", "-o", "a.png", "--plan")
     run("view", "b.jsonl", "-o", "b.svg", "--plan", "--index", 1, "--truth", "b.jsonl")
+    pages = []
+    monkeypatch.setattr("sg3d_jax.viz.page.save_page", lambda *_, **said: pages.append(said))
+    run("view", "a.json", "-o", "a.html", "--truth", "b.jsonl")
+    assert [len(graph.nodes.label) for graph in pages[0]["truth"]] == [8]
     (named, alone) = drawn
     assert named[2][8:] == [15, "hall", 17, "n11"]
     npt.assert_array_equal(named[3], NODES)
@@ -128,7 +140,7 @@ def test_a_stream_is_drawn_line_by_line_on_a_page_that_loads_itself_again(monkey
     sizes = [len(graphs[0].nodes.label) for graphs, *_ in drawn]
     assert sizes == [12, 8, 8]
     assert [said[2] for said in drawn] == [f"a.jsonl: line {n}" for n in (2, 3, 3)]
-    assert [said[-1] for said in drawn] == [2.0, 2.0, 0]
+    assert [said[6] for said in drawn] == [2.0, 2.0, 0]
 
 
 def test_the_last_page_of_a_stream_stays():
@@ -147,3 +159,49 @@ def test_what_is_no_stream_of_graphs_is_refused(capsys):
         (("b.jsonl", "-o", "a.html"), "b.jsonl: line 1: there is no list 'nodes', expected nodes"),
     ):
         assert refusal(capsys, "view", *arguments, "--follow").startswith(sentence)
+
+
+def test_our_layers_are_added_to_a_file_of_hydra_s_and_what_is_left_out_is_said(capsys):
+    key = {"layer": 3, "partition": 0}
+    place = {"id": ord("p") << 56, **key, "attributes": {"type": "PlaceNodeAttributes"}}
+    theirs = {
+        "SPARK_DSG_header": {},
+        "layer_keys": [key],
+        "layer_names": {"PLACES": key},
+        "nodes": [place],
+        "edges": [],
+    }
+    write_graphs("a.json", [two_rooms()], attributes=[ATTRIBUTES])
+    arguments = ("-o", "b.json", "--to", "spark-dsg", "--into", write("dsg.json", theirs))
+    run("export", "a.json", *arguments)
+    assert capsys.readouterr().out == "b.json: dsg.json with the layers of a.json\n"
+    run("export", "b.json", "-o", "c.json")
+    remark = "sg3d: remark: b.json: left out what is in no layer of ours: 1 of PLACES\n"
+    assert capsys.readouterr().err == remark
+    (read,) = read_with_attributes("c.json")
+    assert json.dumps(read.attributes) == json.dumps(ATTRIBUTES)
+    for odd, sentence in (
+        (("--to", "json", "--into", "dsg.json"), "--into is for --to spark-dsg, got --to json"),
+        (("--into", "dsg.json", "--to", "spark-dsg", "--walls", "metadata"), "--into has walls as"),
+        (("--columns", "x=cx"), "a.json: columns are named, expected a .csv file"),
+        (("--columns", "x"), "--columns has 'x', expected such as x=cx,y=cy"),
+    ):
+        assert sentence in refusal(capsys, "export", "a.json", "-o", "d.json", *odd)
+
+
+def test_a_graph_is_sent_to_s_graphs_and_a_table_with_a_header_of_one_s_own_is_read():
+    run("export", "s-f", "-o", "map.json", "--to", "s-graphs", "--index", 0)
+    run("export", "map.json", "-o", "a.json")
+    (back,), (graph,) = read_graphs("a.json"), registry.make("s-f", 1)
+    npt.assert_array_equal(back.nodes.label, graph.nodes.label)
+    npt.assert_array_equal(parts_first(back), parts_first(graph))
+    rows = as_csv(SCENES[0]).replace("width", "length", 1).replace("cx", "x", 1)
+    run("export", write("b.csv", rows), "-o", "b.json", "--columns", "length=width,x=cx")
+    (read,) = read_graphs("b.json")
+    npt.assert_array_equal(read.nodes.width, [plane["width"] for plane in SCENES[0]["planes"]])
+
+
+def test_nodes_are_called_by_a_name_or_by_their_kind():
+    held = [{}] * 4 + [{"id": "b4"}, {}, {"name": "pantry"}, {}, {}]
+    called = _names_of(Read(furnished_rooms(), held))
+    assert called == [0, 1, 2, 3, "bed b4", "bedroom 5", "pantry", "department 7", 8]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import itertools
 import json
 import os
 
@@ -332,3 +333,24 @@ def test_control_c_is_one_line(capsys, monkeypatch):
         run("train", CONFIGS / "test.py")
     assert caught.value.code == 130
     assert capsys.readouterr().err == "sg3d: interrupted\n"
+
+
+def test_what_an_evaluation_has_made_before_it_is_stopped_can_be_scored(
+    folder, monkeypatch, scored
+):
+    write_floors()
+    options = "--data", "floors.jsonl", "--split", "all"
+    each = evaluation.complete_each
+
+    def stopped(*arguments, **options):
+        yield from itertools.islice(each(*arguments, **options), 3)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluation, "complete_each", stopped)
+    with pytest.raises(SystemExit):
+        run("evaluate", untrained(folder, "midi"), *options, "--graphs", "made.jsonl")
+    assert scored == []
+    run("evaluate", "made.jsonl", *options, "--num-graphs", 3)
+    for (made, truth), floor in zip(scored, small_floors()[:3], strict=True):
+        assert truth.nodes.position.tolist() == floor.nodes.position.tolist()
+        assert made.nodes.position.tolist() != truth.nodes.position.tolist()

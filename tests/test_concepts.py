@@ -30,6 +30,7 @@ GENERAL: Final = (
 AT_HOME: Final = (
     "scene/ontology.py",  # defines the default
     "io/s_graphs.py",  # reads and writes what another program calls planes, walls, rooms, floors
+    "io/s_graphs_dump.py",  # reads what it saves
 )
 
 # Module -> strings that have to stay, as keys of files, names of the public API or of others.
@@ -44,6 +45,8 @@ ADMITTED: Final[Mapping[str, set[str]]] = {
     },
     # The layer that has a class of nodes of its own in Spark-DSG, and an option.
     "io/spark_dsg.py": {"ROOMS", "walls is "},
+    # The layers of Hydra, which its old files do not name.
+    "io/spark_dsg_document.py": {"ROOMS", "BUILDINGS"},
     # A layer of EC-L, a baseline that knows planes and rooms alone, by its name in stored weights.
     "nn/edge_attention.py": {"planes"},
 }

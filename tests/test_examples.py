@@ -1,26 +1,38 @@
 """The examples are scenes that anyone can complete, and scripts that anyone can run."""
 
+import dataclasses
 import importlib.util
 import json
 import re
 import shutil
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from sg3d_jax.data import registry
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
+from sg3d_jax.flagg.kinds import kind_loss
+from sg3d_jax.flagg.step import FlaggConfig
 from sg3d_jax.infer.lanes import growth_capacity
 from sg3d_jax.io import npz
 from sg3d_jax.io.formats import read_planes
-from sg3d_jax.scene.validate import check_observed
-from sg3d_jax.train import checkpoint
-from sg3d_jax.train.methods import METHODS
+from sg3d_jax.io.planes import read_planes_dict
+from sg3d_jax.scene.graph import ontology_of
+from sg3d_jax.scene.padding import Capacity
+from sg3d_jax.scene.validate import check_observed, validate_graph
+from sg3d_jax.train import checkpoint, loop
+from sg3d_jax.train.methods import METHODS, build_model
+from sg3d_jax.train.step import TrainState
+from sg3d_jax.train.weights import save_weights
 from tests.command_line import documents, refusal, run
-from tests.tiny_run import NODES, ROOT, small_floors
+from tests.tiny_run import MODELS, NODES, ROOT, STATISTICS, small_floors
+from tests.two_rooms import on_device, random_params
 
 EXAMPLES = ROOT / "examples"
-FILES = sorted(p for p in EXAMPLES.iterdir() if p.is_file() and p.suffix not in {".png", ".py"})
+FILES = sorted(p for p in EXAMPLES.iterdir() if p.suffix in {".json", ".jsonl", ".csv"})
 OWN_FILL = EXAMPLES / "own_fill.py"
 # What makes a run of `own_fill.py` last seconds: two calls of two steps each.
 SHORT = (
@@ -45,15 +57,88 @@ def test_every_example_is_read_and_sound(path):
         np.testing.assert_allclose(np.linalg.norm(scene.nodes.normal, axis=1), 1, atol=1e-6)
 
 
-def test_the_descent_on_fgw_moves_centroids_back_and_draws_it(tmp_path, monkeypatch, capsys):
-    path = EXAMPLES / "fgw_descent.py"
-    script = importlib.util.module_from_spec(importlib.util.spec_from_file_location("d", path))
+def test_objects_of_an_example_are_known_and_one_s_own_class_among_them():
+    document = json.loads((EXAMPLES / "furnished.json").read_text())
+    made = read_planes_dict(document, "furnished.json", FURNISHED_ONTOLOGY)
+    assert made.remarks == ()
+    assert sorted({*made.graph.nodes.label.tolist()}) == [0, 1, 2, 3]  # planes, doors, stairs too
+    own = script_of("own_concept").ONTOLOGY
+    window = {"class": "windows", "centroid": [0, 0, 1.4], "size": [1.2, 0.1, 1]}
+    made = read_planes_dict(document | {"objects": [window]}, "furnished.json", own)
+    assert own.names[made.graph.nodes.label.max()] == "window"
+
+
+def script_of(name):
+    """Returns an example as a module, without running its main."""
+    path = EXAMPLES / f"{name}.py"
+    script = importlib.util.module_from_spec(importlib.util.spec_from_file_location(name, path))
     script.__spec__.loader.exec_module(script)
+    return script
+
+
+def test_the_descent_on_fgw_moves_centroids_back_and_draws_it(tmp_path, monkeypatch, capsys):
+    script = script_of("fgw_descent")
     monkeypatch.setattr(script, "STEPS", 60)
     script.main(str(tmp_path / "descent.png"))
     before, after = re.search(r"mean error (\S+) -> (\S+) m", capsys.readouterr().out).groups()
     assert float(after) < float(before) / 2
     assert (tmp_path / "descent.png").stat().st_size > 0
+
+
+# --- a class of one's own ---
+
+
+def test_own_concept__starts_from_weights_that_do_not_know_it_and_learns(tmp_path):
+    script, known = script_of("own_concept"), tmp_path / "known.npz"
+    floors = [floor for floor in registry.make("o-f", 13) if len(floor.nodes.label) < 50]
+    with_windows = [script.with_windows(floor) for floor in floors]
+    for floor in with_windows:
+        validate_graph(floor, "floor")
+        assert ontology_of(floor) == script.CONFIG.ontology
+        assert (floor.nodes.label == script.ONTOLOGY.label_of("window")).sum() >= 3
+    config = dataclasses.replace(
+        script.CONFIG,
+        model=MODELS["midi"],
+        flagg=FlaggConfig(width=4, depth=1),
+        initial=str(known),
+    )
+    before = dataclasses.replace(config, ontology=FURNISHED_ONTOLOGY, initial=None)
+    capacity = Capacity(64, 256)
+    (_, statistics, given), (model, _, params) = (
+        built(of, on_device(graph, capacity))
+        for of, graph in ((before, floors[0]), (config, with_windows[0]))
+    )
+    save_weights(known, before, statistics, given)
+    state = TrainState(params, params, (), jnp.int32(0))
+    params = loop.start_from_weights(config, state).params
+    concepts, of_given = (windows_of(of.halt, slice(0, 11)) for of in (params, given))
+    np.testing.assert_array_equal(concepts[2:], of_given[1:10])
+    assert not concepts[1].any()  # nothing is known of windows yet
+
+    graph = on_device(with_windows[0], capacity)
+
+    @jax.jit
+    @jax.grad
+    def gradient_of(params):  # of the modules that compile in a second
+        told = kind_loss(model.kinds.logits(params.kinds, graph), graph, graph)
+        return told + model.halt.logit(params.halt, graph)
+
+    gradient = gradient_of(params)
+    for of in (gradient.halt, gradient.kinds):
+        assert np.isfinite(windows_of(of)).all()
+        assert windows_of(of).any()
+
+
+def windows_of(params, rows=1):
+    """Returns the weights of the input that tells windows, or of several, in a module."""
+    return np.asarray(params["params"]["gine"]["nodes"]["kernel"][rows])
+
+
+def built(config, graph):
+    """Returns a model, the statistics that it was made with, and parameters drawn at random."""
+    statistics = STATISTICS._replace(label=(0.1,) * config.ontology.num_concepts)
+    model = build_model(config.model, config.flagg, statistics, config.ontology)
+    return model, statistics, random_params(model.init, graph)
 
 
 # --- a Fill model of one's own ---

@@ -35,13 +35,14 @@ MAY_IMPORT: Final[Mapping[str, set[str]]] = {
     "infer": {*GROWING, "baselines", "metrics"},
     "io": {"scene"},
     "data": {"scene", "io"},
-    "train": {*TRAINING - {"train"}, "origin"},
+    "train": {*TRAINING - {"train"}, "origin", "distributed"},
     "viz": {"scene", "io"},
     "runtime": set(),
     "origin": set(),
-    "__init__": {*TRAINING, "viz", "runtime", "origin"},
-    "cli": {*TRAINING, "viz", "runtime", "origin", "__init__"},
-    "__main__": {*TRAINING, "viz", "runtime", "origin", "__init__", "cli"},
+    "distributed": set(),
+    "__init__": {*TRAINING, "viz", "runtime", "origin", "distributed"},
+    "cli": {*TRAINING, "viz", "runtime", "origin", "distributed", "__init__"},
+    "__main__": {*TRAINING, "viz", "runtime", "origin", "distributed", "__init__", "cli"},
 }
 
 # Package -> where alone in sg3d_jax it may be imported.
@@ -58,6 +59,7 @@ HOMES: Final[Mapping[str, tuple[str, ...]]] = {
     "plotly": ("viz/",),
     "rich": ("cli/", "train/log.py"),
     "scipy": ("data/", "metrics/oddities.py"),
+    "yaml": ("io/yaml.py",),
     "shapely": ("data/",),
     "tyro": ("cli/", "train/config.py"),
 }

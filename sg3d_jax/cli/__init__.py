@@ -12,6 +12,7 @@ import tyro
 import sg3d_jax
 from sg3d_jax.cli import data, provenance
 from sg3d_jax.cli.cards import weights
+from sg3d_jax.cli.compile import compile_growth
 from sg3d_jax.cli.files import export, view
 from sg3d_jax.cli.follow import follow
 from sg3d_jax.cli.grow import complete, train
@@ -20,6 +21,7 @@ from sg3d_jax.cli.scores import evaluate, sheet, table
 app = tyro.extras.SubcommandApp()
 for command in (complete, follow, view, export, train, evaluate, table, sheet, weights):
     app.command(command)
+app.command(name="compile")(compile_growth)
 app.command(
     data.app, name="data", help="Make, import, describe, check, draw or drive through data sets."
 )

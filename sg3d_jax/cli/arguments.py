@@ -5,7 +5,7 @@ import os
 import runpy
 import sys
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -31,7 +31,10 @@ def read(source: str, index: int | None = None, count: int | None = None) -> lis
 
 
 def read_with_attributes(
-    source: str, index: int | None = None, count: int | None = None
+    source: str,
+    index: int | None = None,
+    count: int | None = None,
+    columns: str | None = None,
 ) -> list[Any]:
     """Returns graphs as `read` does, each with what else a file says of its nodes and edges."""
     from sg3d_jax.data import registry
@@ -44,12 +47,31 @@ def read_with_attributes(
         graphs = registry.make(source, count if index is None else index + 1)
         reads = [bare(graph) for graph in graphs]
     else:
-        reads = formats.read_with_attributes(source)[: None if index is not None else count]
+        reads = formats.read_with_attributes(source, columns_in(columns))
+        reads = reads[: None if index is not None else count]
+        say_remarks([f"{source}: {remark}" for each in reads for remark in each.remarks])
     if index is None:
         return reads
     if index >= len(reads):
         raise ValueError(f"{source}: --index must be in 0..{len(reads) - 1}, got {index}")
     return [reads[index]]
+
+
+def columns_in(option: str | None) -> dict[str, str] | None:
+    """Returns what columns of a CSV file are called here, by what `--columns` says."""
+    if option is None:
+        return None
+    pairs = [pair.split("=") for pair in option.split(",")]
+    if odd := [pair for pair in pairs if len(pair) != 2]:
+        expected = "expected such as x=cx,y=cy,length=width"
+        raise ValueError(f"--columns has {'='.join(odd[0])!r:.40}, {expected}")
+    return {theirs.strip(): ours.strip() for theirs, ours in pairs}
+
+
+def say_remarks(remarks: Iterable[str]) -> None:
+    """Prints remarks on stderr, each once."""
+    for remark in dict.fromkeys(remarks):
+        print(f"sg3d: remark: {remark}", file=sys.stderr)
 
 
 @contextmanager

@@ -55,6 +55,8 @@ def import_(
     output: Output,
     seed: int = 0,
     like: str | None = None,
+    units: str | None = None,
+    turn: bool = False,
 ) -> None:
     """Make a data set from a file that you have.
 
@@ -67,20 +69,27 @@ def import_(
       seed: of rotations, of buildings that are put together, and of the split by building.
       like: for a name of your own, a known data set: the file is read as that one's files are, such
         as floor plans like p-f, and its highest concept is checked.
+      units: of floor plans of your own: m, cm, mm, ft, in, or how many metres one is, such as 0.02
+        where a pixel is 2 cm; by default what their rooms tell, if they do.
+      turn: turn each of them by a random angle, as those of known sets are, for training.
     """
     from sg3d_jax.data import registry
     from sg3d_jax.io import npz
 
     check_at_least("--seed", seed, 0)
     check_output(output, (".npz",))
-    graphs, header = registry.import_file(name, source, seed, like)
+    graphs, header = registry.import_file(name, source, seed, like, units, turn)
     npz.save(output, graphs, header)
     print(f"{output}: {counted(len(graphs))}")
+    if units is None and (unit := header.get("units", "m")) != "m":
+        print(f"{output}: lengths are taken to be in {unit}")
+    if "origins" in header and set(header["parts"]) == {"test"}:
+        print(f"{output}: all for test: too few buildings for training, validation and test")
     left_out = header.get("left_out", [])
     for reason in left_out[:3]:
         print(f"{output}: left out {reason}")
     if len(left_out) > 3:
-        print(f"{output}: left out {len(left_out)} floors in all")
+        print(f"{output}: left out {len(left_out)} floors or rooms in all")
 
 
 @app.command

@@ -17,6 +17,7 @@ from sg3d_jax.cli.arguments import (
     check_output,
     run_code,
 )
+from sg3d_jax.cli.progress import ended_by_sigterm
 from sg3d_jax.train import DEFAULT_WEIGHTS
 
 LINES: Final = (".jsonl",)
@@ -67,7 +68,7 @@ def follow(
         raise ValueError(f"{weights} completes {given} alone, expected weights of what grows")
     trained = with_diffusion_steps(trained, diffusion_steps)
     state = begin(trained.model.ontology, seed), Heard()
-    with _ended_by_sigterm():
+    with ended_by_sigterm():
         if log is not None and log.exists():
             _drop_half_line(log)
             for where, line in lines_of(str(log)):
@@ -140,17 +141,3 @@ def _drop_half_line(log: Path) -> None:
     with log.open("rb+") as file:
         whole = file.read().rfind(b"\n") + 1
         file.truncate(whole)
-
-
-@contextmanager
-def _ended_by_sigterm() -> Generator[None]:
-    """Ends the block as Ctrl-C does, so that files are closed, with the exit code of a shell."""
-
-    def end(number: int, _: Any) -> None:
-        raise SystemExit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import time
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -22,6 +23,7 @@ from sg3d_jax.cli.arguments import (
     print_table,
     run_code,
 )
+from sg3d_jax.cli.progress import lines_to, progress
 from sg3d_jax.cli.provenance import provenance
 from sg3d_jax.io.files import read_documents, replacing
 from sg3d_jax.metrics.paper import HEADINGS, SCORES, TITLES
@@ -38,8 +40,13 @@ def evaluate(
     diffusion_steps: int | None = None,
     candidates: int = 1,
     output: OptionalOutput = None,
+    graphs: Path | None = None,
     row: Path | None = None,
     sheet: Path | None = None,
+    quiet: bool = False,
+    coordinator: str | None = None,
+    num_processes: int | None = None,
+    process_id: int | None = None,
     code: Code = (),
 ) -> None:
     """Complete the scenes of a split from their planes and score them against the truth.
@@ -56,21 +63,32 @@ def evaluate(
       candidates: graphs to draw of each scene; what most of them have is kept, and how sure each
         node and edge is shows in the calibration errors.
       output: also write everything as JSON, for `sg3d table`.
+      graphs: also write what is made with the first seed as JSON Lines, each graph as soon as it is
+        done. If the command is stopped, `sg3d evaluate` scores those that are in the file.
       row: also write the scores as a CSV file of one row.
       sheet: also draw the worst scenes of the first seed, the truth above what was made.
+      quiet: show no progress on a terminal.
+      coordinator: where several processes complete the scenes, the address of the first and a free
+        port there, such as 10.0.0.1:1234, or auto on a cluster that JAX knows (Slurm, Open MPI,
+        Kubernetes). The first scores what all have made; with --graphs each writes its own.
+      num_processes: how many there are; a cluster says so itself.
+      process_id: which one this is, from 0; a cluster says so itself.
       code: Python files to run first, which register the methods of your own weights.
     """
+    from sg3d_jax.distributed import gathered, initialise, is_first, own_file, part
     from sg3d_jax.metrics.report import score, summary
     from sg3d_jax.train.dataset import load_split
-    from sg3d_jax.train.evaluation import load_contender
+    from sg3d_jax.train.evaluation import joined, load_contender
 
     check_at_least("--num-graphs", 1 if num_graphs is None else num_graphs, 1)
     check_at_least("--seeds", min(seeds, default=-1), 0)
     check_at_least("--candidates", candidates, 1)
     check_at_most("--candidates", candidates, MAX_CANDIDATES)
     check_output(output, (".json",))
+    check_output(graphs, (".jsonl",))
     check_output(row, (".csv",))
     check_output(sheet, PICTURES)
+    initialise(coordinator, num_processes, process_id)
     run_code(code)
     chosen = load_contender(method, data, diffusion_steps, candidates)
     in_split = load_split(chosen.data, split, chosen.name)
@@ -79,8 +97,13 @@ def evaluate(
     made, seconds = [], []
     for seed in seeds:
         began = time.monotonic()
-        made.append(chosen.complete(scenes, seed))
+        file = None if graphs is None or made else own_file(graphs)
+        own = _completed(chosen, scenes, seed, quiet, file)
+        made.append(joined(gathered(own)))
         seconds.append(round(time.monotonic() - began, 2))
+    if not is_first():
+        part()
+        return
     runs: list[dict[str, Any]] = [
         {
             **score(result.graphs, truth, pieces=result.pieces),
@@ -111,6 +134,7 @@ def evaluate(
         _write_row(row, content)
     if sheet is not None:
         _draw_worst(sheet, made[0].graphs, truth, runs[0]["fgw_per_graph"])
+    part()
 
 
 def table(
@@ -145,6 +169,7 @@ def sheet(
     num_graphs: int = 6,
     first: int = 0,
     seed: int = 0,
+    quiet: bool = False,
     code: Code = (),
 ) -> None:
     """Draw what methods make of the same scenes: a row a method with its FGW, the truth below.
@@ -157,11 +182,12 @@ def sheet(
       num_graphs: how many scenes, one a column.
       first: the first of them.
       seed: of the samples.
+      quiet: show no progress on a terminal.
       code: Python files to run first, which register the methods of your own weights.
     """
     from sg3d_jax.metrics.fgw import fgw_pairs
     from sg3d_jax.train.dataset import load_split
-    from sg3d_jax.train.evaluation import load_contender
+    from sg3d_jax.train.evaluation import joined, load_contender
     from sg3d_jax.viz.figure import contact_sheet
 
     check_at_least("the number of methods", len(methods), 1)
@@ -184,13 +210,33 @@ def sheet(
     scenes = scenes[first : first + num_graphs]
     rows, captions = [], []
     for method in chosen:
-        graphs = method.complete(scenes, seed).graphs
+        graphs = joined(_completed(method, scenes, seed, quiet)).graphs
         rows.append((TITLES.get(method.name, method.name), graphs))
         scores = fgw_pairs(graphs, [method.target(scene) for scene in scenes]).value
         captions += [_caption(*pair) for pair in enumerate(scores.tolist(), first)]
     captions += [str(index) for index in range(first, first + len(scenes))]
     contact_sheet([*rows, ("truth", scenes)], output, captions)
     print(f"{output}: {counted(len(chosen), 'method')} on {counted(len(scenes), 'scene')}")
+
+
+def _completed(
+    chosen: Any, scenes: list, seed: int, quiet: bool, graphs: Path | None = None
+) -> list[Any]:
+    """Returns what is made of this process's share of the scenes; also writes it, to a file."""
+    from sg3d_jax.distributed import share
+    from sg3d_jax.io.json import graph_to_dict
+
+    places, made = share(range(len(scenes))), []
+    each = chosen.complete_each(scenes, seed, places)
+    bar = progress(len(places), f"scenes by {chosen.name}, seed {seed}", quiet)
+    lines = nullcontext() if graphs is None else lines_to(graphs, len(places))
+    with closing(each), lines as write, bar as advance:
+        for one in each:
+            made.append(one)
+            if write is not None:
+                write(graph_to_dict(one.graph))
+            advance()
+    return made
 
 
 def _calibration_errors(result: Any, truth: list) -> dict[str, float]:

@@ -8,22 +8,16 @@ So a corridor against three offices is one wall of four planes, also where the s
 changes its thickness, as at a lining or a shaft; a plane belongs to one wall at most, as in
 S-Graphs; and a line has two walls where nothing faces across, as where another wall crosses it.
 
-A file holds one floor a line (JSON Lines, .jsonl or .jsonl.gz): `{"building": "office/poli",
-"storey": 0, "rooms": [{"poly": [[x, y], ...]}, ...]}`, metres; other keys are ignored.
-
 Source: paper, Sec. "Datasets" (M-F), and the authors' conversion of MSD, which has one plane an
 edge of a room polygon and walls of two or more planes.
 Differs: walls are found from the rooms, because plans of other sources come without wall polygons;
 holes in a room have planes too; corners flatter than a centimetre are no corners.
 """
 
-import gzip
-import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -32,22 +26,19 @@ from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.data.buildings import Storey
 from sg3d_jax.data.levels import Floor, Floors
-from sg3d_jax.io.files import number, parsed_lines, read_bytes
+from sg3d_jax.data.plans import MIN_SIDES, Plan, read_plans
 
 MIN_PIECE: Final = 0.9  # of a room's area that must stay in one piece when it is repaired
 TOUCHING: Final = 0.01  # metres: rooms closer than this are drawn without a wall between them
 NEGLIGIBLE_LENGTH: Final = 1e-9  # metres: a corner so near to the next one repeats it
 NEGLIGIBLE_AREA: Final = 1e-6  # square metres: rooms that share an edge overlap by rounding
 MITRE_LIMIT: Final = 10.0  # corners sharper than about 11 degrees are cut off when inset
-MIN_SIDES: Final = 3
 MIN_ROOMS: Final = 2
-MAX_COORDINATE: Final = 1e4  # metres; beyond it a plan is hardly in metres
 LEAST_AREA: Final = 0.2  # square metres, of half of the rooms of a plan in metres;
 MOST_AREA: Final = 1e4  # others are in pixels, millimetres or kilometres
 MAX_CORNERS: Final = 4000  # of a floor: sides are compared in pairs,
 MAX_CORNERS_OF_ROOM: Final = 500  # as are those of a room that may cross itself,
 MAX_OVERLAPS: Final = 50  # and of so many rooms each
-MAX_BYTES: Final = 2**26  # of a file, unpacked
 
 
 @dataclass(frozen=True)
@@ -82,12 +73,13 @@ class FloorplanConfig:
 RULES: Final = FloorplanConfig()
 
 
-class Plan(NamedTuple):
-    """The rooms of one floor as they are drawn."""
+class RoomFault(ValueError):
+    """That one room of a plan cannot be told."""
 
-    building: str  # floors of one building belong into one part of a split
-    origin: str  # the floor's own name
-    rooms: tuple[np.ndarray, ...]  # float[v, 2] each, corners in order, metres
+    def __init__(self, room: int, problem: str) -> None:
+        """Names the room by its place among those of the plan."""
+        super().__init__(f"rooms[{room}] {problem}")
+        self.room, self.problem = room, problem
 
 
 class Sides(NamedTuple):
@@ -106,15 +98,6 @@ class Facing(NamedTuple):
     middle: np.ndarray  # float[f, 2, 2], the ends of the line through the middle of the strip
 
 
-def read_plans(path: str | Path) -> list[Plan]:
-    """Returns the floors of a .jsonl or .jsonl.gz file, not yet made sense of.
-
-    Raises:
-      ValueError: one sentence that names the file, the line, the room and the field.
-    """
-    return [_plan(document, where) for where, document in parsed_lines(_read(path), path)]
-
-
 def read_floors(path: str | Path, config: FloorplanConfig = RULES) -> Floors:
     """Reads floors from a .jsonl or .jsonl.gz file and turns them into planes, walls and rooms.
 
@@ -131,9 +114,39 @@ def read_floors(path: str | Path, config: FloorplanConfig = RULES) -> Floors:
     for plan in read_plans(path):
         try:
             storey = storey_of_rooms(plan.rooms, config)
-            floors.append(Floor(plan.building, plan.origin, storey))
+            floors.append(Floor(plan.building, plan.origin, storey, plan.names))
         except ValueError as error:
             left_out.append(f"{plan.origin}: {error}")
+    return Floors(floors, left_out)
+
+
+def floors_of(plans: Sequence[Plan], scale: float, config: FloorplanConfig = RULES) -> Floors:
+    """Turns plans of the user's own into planes, walls and rooms, without the rooms that are odd.
+
+    Args:
+      plans: of `read_plans`.
+      scale: how many metres one of their unit is.
+      config: how rooms become planes and walls.
+
+    Returns:
+      The floors, and a sentence for each room, and each floor, that is not among them.
+    """
+    floors, left_out = [], []
+    for plan in plans:
+        faults, kept = list(plan.faults), list(range(len(plan.rooms)))
+        try:
+            while True:
+                try:
+                    storey = storey_of_rooms([scale * plan.rooms[room] for room in kept], config)
+                    break
+                except RoomFault as fault:
+                    place = plan.places[kept.pop(fault.room)]
+                    faults.append(f"rooms[{place}] {fault.problem}")
+            names = tuple(plan.names[room] for room in kept)
+            floors.append(Floor(plan.building, plan.origin, storey, names))
+        except ValueError as error:
+            faults.append(f"{error}")
+        left_out += [f"{plan.origin}: {fault}" for fault in faults]
     return Floors(floors, left_out)
 
 
@@ -225,8 +238,8 @@ def tidy_rooms(rooms: Sequence[np.ndarray], config: FloorplanConfig) -> np.ndarr
         raise ValueError(f"there are {len(rooms)} rooms, expected at least {MIN_ROOMS}")
     for index, corners in enumerate(rooms):
         if len(corners) > MAX_CORNERS_OF_ROOM:
-            held = f"rooms[{index}] has {len(corners)} corners"
-            raise ValueError(f"{held}, expected {MAX_CORNERS_OF_ROOM} at most")
+            expected = f"expected {MAX_CORNERS_OF_ROOM} at most"
+            raise RoomFault(index, f"has {len(corners)} corners, {expected}")
     with np.errstate(divide="ignore", invalid="ignore"):  # GEOS leaves its flags set
         shapes = _repaired(_polygons(rooms))
         inset = shapely.buffer(shapes, -config.inset, join_style="mitre", mitre_limit=MITRE_LIMIT)
@@ -271,7 +284,7 @@ def _greatest_pieces(shapes: np.ndarray, problem: str) -> np.ndarray:
     greatest[owner[order]] = order  # of several pieces the last one written stays
     lost = (greatest < 0) | (area[greatest] <= MIN_PIECE * whole)
     if lost.any():
-        raise ValueError(f"rooms[{np.argmax(lost)}] {problem}, expected one piece")
+        raise RoomFault(int(np.argmax(lost)), f"{problem}, expected one piece")
     return pieces[greatest]
 
 
@@ -432,58 +445,3 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 def _left(vectors: np.ndarray) -> np.ndarray:
     """Turns vectors of the plane by a right angle counter-clockwise."""
     return np.column_stack([-vectors[:, 1], vectors[:, 0]])
-
-
-def _read(path: str | Path) -> bytes:
-    """Returns what is in a file that may be compressed."""
-    suffixes = [suffix.lower() for suffix in Path(path).suffixes]
-    if suffixes[-1:] == [".jsonl"]:
-        return read_bytes(path, MAX_BYTES)
-    if suffixes[-2:] != [".jsonl", ".gz"]:
-        raise ValueError(f"{path}: the name does not end in .jsonl or .jsonl.gz")
-    packed = BytesIO(read_bytes(path, MAX_BYTES))
-    try:
-        data = gzip.GzipFile(fileobj=packed).read(MAX_BYTES + 1)
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise ValueError(f"{path}: not a gzip file, or a damaged one ({error})") from error
-    if len(data) > MAX_BYTES:
-        raise ValueError(f"{path}: the file is too large, expected {MAX_BYTES} bytes at most")
-    return data
-
-
-def _plan(document: Any, where: str) -> Plan:
-    """Returns the floor of a parsed document."""
-    if not isinstance(document, dict):
-        raise ValueError(f"{where}: {document!r:.40} is no object, expected one floor")
-    kinds = {"building": str, "storey": int, "rooms": list}
-    for key, kind in kinds.items():
-        if key not in document:
-            raise ValueError(f"{where}: there is no {key!r}, expected {', '.join(kinds)}")
-        if not isinstance(document[key], kind) or isinstance(document[key], bool):
-            held = f"{document[key]!r:.40}"
-            raise ValueError(f"{where}: {key} is {held}, expected {kind.__name__}")
-    building, storey, rooms = (document[key] for key in kinds)
-    if not building.isprintable():
-        raise ValueError(f"{where}: building is {building!r:.40}, expected a name of one line")
-    corners = (_corners(room, f"{where}: rooms[{index}]") for index, room in enumerate(rooms))
-    return Plan(building, f"{building} storey {storey}", tuple(corners))
-
-
-def _corners(room: Any, where: str) -> np.ndarray:
-    """Returns the corners of a room of a parsed document, float[v, 2]."""
-    if not isinstance(room, dict) or not isinstance(room.get("poly"), list):
-        raise ValueError(f"{where} is {room!r:.40}, expected an object with a list 'poly'")
-    corners = [_point(point, f"{where}.poly[{i}]") for i, point in enumerate(room["poly"])]
-    if len(set(corners)) < MIN_SIDES:
-        held = f"{len(set(corners))} different corners"
-        raise ValueError(f"{where}.poly has {held}, expected at least {MIN_SIDES}")
-    return np.array(corners)
-
-
-def _point(point: Any, where: str) -> tuple[float, float]:
-    if not isinstance(point, list) or len(point) != 2:
-        raise ValueError(f"{where} is {point!r:.40}, expected two numbers")
-    x, y = (number(value, where) for value in point)
-    if not (abs(x) <= MAX_COORDINATE and abs(y) <= MAX_COORDINATE):  # false for NaN
-        raise ValueError(f"{where} is {point!r:.40}, expected metres within {MAX_COORDINATE:g}")
-    return x, y

@@ -2,7 +2,8 @@
 
 Floors are dealt to train, validation and test by building before anything is stacked, and a city
 takes its second building from the part of its first, so that no floor is in two parts, at whatever
-level. The same seed gives the same parts at every level.
+level. The same seed gives the same parts at every level. Floors of fewer than five buildings are
+all for test.
 
 Source: paper, Sec. "Datasets" (M-F, M-B, M-C), and the settings that the authors published: two
 identical storeys 4 m apart; a city adds one building of one or two identical storeys.
@@ -20,7 +21,7 @@ import numpy as np
 from sg3d_jax.data.buildings import Building, Storey, city_graph, move, outline, place
 from sg3d_jax.data.splits import split_groups
 from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, ROOM
 
 STOREY_HEIGHT: Final = 4.0  # metres
 NUM_STOREYS: Final = 2
@@ -36,6 +37,7 @@ class Floor(NamedTuple):
     building: str  # floors of one building go to one part
     origin: str  # the floor's own name
     storey: Storey  # its geometry
+    rooms: tuple[str | None, ...] = ()  # what its rooms are called, if anything is known
 
 
 class Floors(NamedTuple):
@@ -45,29 +47,39 @@ class Floors(NamedTuple):
     left_out: list[str]  # a sentence for each floor that is not among them
 
 
+class Scene(NamedTuple):
+    """A scene and what it is made of."""
+
+    graph: SceneGraph  # complete, on the host
+    origin: str  # names of the floors in it
+    buildings: tuple[tuple[Floor, int], ...]  # of each the floor that is stacked, and how often
+
+
 class Imported(NamedTuple):
     """Scenes, the part of each and the floors that it is made of."""
 
     graphs: list[SceneGraph]  # complete host graphs
     parts: list[str]  # "train", "validation" or "test"
     origins: list[str]  # names of the floors in each
+    names: list[dict[int, str]]  # of rooms, floors and buildings of each, by row
 
 
 def floor_scenes(floors: Sequence[Floor], seed: int = 0, rotate: bool = True) -> Imported:
     """Makes a scene of every floor (as M-F, P-F).
 
     Args:
-      floors: at least one a part.
+      floors: at least one.
       seed: of the parts and the rotations.
       rotate: whether every scene is turned by a uniform angle.
 
     Raises:
-      ValueError: too few buildings to deal them to three parts.
+      ValueError: there are no floors, or all are too large.
     """
 
-    def scene(index: int, pool: np.ndarray, rng: np.random.Generator) -> tuple[SceneGraph, str]:
+    def scene(index: int, pool: np.ndarray, rng: np.random.Generator) -> Scene:
         base = _turned(floors[index].storey, rotate, rng)
-        return city_graph([Building((base,), (0.0,))], FLOOR), floors[index].origin
+        graph = city_graph([Building((base,), (0.0,))], FLOOR)
+        return Scene(graph, floors[index].origin, ((floors[index], 1),))
 
     return _scenes(floors, seed, FLOOR, scene)
 
@@ -78,12 +90,13 @@ def building_scenes(floors: Sequence[Floor], seed: int = 0, rotate: bool = True)
     The arguments are those of `floor_scenes`.
 
     Raises:
-      ValueError: too few buildings to deal them to three parts.
+      ValueError: there are no floors, or all are too large.
     """
 
-    def scene(index: int, pool: np.ndarray, rng: np.random.Generator) -> tuple[SceneGraph, str]:
+    def scene(index: int, pool: np.ndarray, rng: np.random.Generator) -> Scene:
         base = stacked(_turned(floors[index].storey, rotate, rng), NUM_STOREYS)
-        return city_graph([base], BUILDING), f"{floors[index].origin} (x {NUM_STOREYS})"
+        origin = f"{floors[index].origin} (x {NUM_STOREYS})"
+        return Scene(city_graph([base], BUILDING), origin, ((floors[index], NUM_STOREYS),))
 
     return _scenes(floors, seed, BUILDING, scene)
 
@@ -95,10 +108,10 @@ def city_scenes(floors: Sequence[Floor], seed: int = 0, rotate: bool = True) -> 
     same part. The arguments are those of `floor_scenes`.
 
     Raises:
-      ValueError: too few buildings to deal them to three parts, or a part has but one floor.
+      ValueError: a part has but one floor.
     """
 
-    def scene(index: int, pool: np.ndarray, rng: np.random.Generator) -> tuple[SceneGraph, str]:
+    def scene(index: int, pool: np.ndarray, rng: np.random.Generator) -> Scene:
         others = pool[pool != index]
         if not len(others):
             raise ValueError(f"{floors[index].origin} is alone in its part, expected more floors")
@@ -107,7 +120,8 @@ def city_scenes(floors: Sequence[Floor], seed: int = 0, rotate: bool = True) -> 
         base = stacked(_turned(floors[index].storey, rotate, rng), NUM_STOREYS)
         extra = _beside(base, other.storey, num_extra, rng)
         origin = f"{floors[index].origin} (x {NUM_STOREYS}) and {other.origin} (x {num_extra})"
-        return city_graph([base, extra], CITY), origin
+        made_of = ((floors[index], NUM_STOREYS), (other, num_extra))
+        return Scene(city_graph([base, extra], CITY), origin, made_of)
 
     return _scenes(floors, seed, CITY, scene)
 
@@ -132,9 +146,11 @@ def _scenes(
     floors: Sequence[Floor],
     seed: int,
     level: int,
-    scene: Callable[[int, np.ndarray, np.random.Generator], tuple[SceneGraph, str]],
+    scene: Callable[[int, np.ndarray, np.random.Generator], Scene],
 ) -> Imported:
     """Makes a scene of each floor that fits, given the floors that fit of the same part."""
+    if not floors:
+        raise ValueError("there are no floors, expected at least one")
     parts = np.array(split_groups([floor.building for floor in floors], seed))
     size = np.array([num_nodes(floor.storey) for floor in floors])
     fits = size <= MAX_NODES.get(level, size.max())
@@ -146,8 +162,29 @@ def _scenes(
         scene(index, np.flatnonzero(fits & (parts == parts[index])), _generator(seed, index))
         for index in np.flatnonzero(fits).tolist()
     ]
-    graphs, origins = (list(column) for column in zip(*made, strict=True))
-    return Imported(graphs, parts[fits].tolist(), origins)
+    graphs, origins = [one.graph for one in made], [one.origin for one in made]
+    return Imported(graphs, parts[fits].tolist(), origins, [_names(one) for one in made])
+
+
+def _names(scene: Scene) -> dict[int, str]:
+    """Returns what rooms, floors and buildings are called, by row."""
+    storeys = [floor for floor, count in scene.buildings for _ in range(count)]
+    called = {
+        ROOM: [name for floor in storeys for name in floor.rooms or [None] * _num_rooms(floor)],
+        FLOOR: [floor.origin for floor in storeys],
+        BUILDING: [floor.building for floor, _ in scene.buildings],
+    }
+    label = scene.graph.nodes.label
+    return {
+        row: name
+        for concept, names in called.items()
+        for row, name in zip(np.flatnonzero(label == concept).tolist(), names, strict=False)
+        if name
+    }
+
+
+def _num_rooms(floor: Floor) -> int:
+    return len(floor.storey.room_centre)
 
 
 def _generator(seed: int, index: int) -> np.random.Generator:

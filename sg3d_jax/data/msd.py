@@ -6,6 +6,10 @@ shared spaces), `building_id`, `floor_id`, `roomtype` and `geom` (WKT, metres); 
 zoning) are not needed, and neither are the pickled graphs and images beside it. `roomtype` is one
 of nine kinds of room, Structure (walls, columns, shafts), Door, Entrance Door or Window.
 
+The table of Swiss Dwellings, `geometries.csv`, is read as well: `geometry` is its `geom`, and
+`entity_subtype` (BEDROOM, WALL, ...) becomes a roomtype as MSD makes it one; what is of
+`entity_type` feature, such as a sink, is passed over.
+
 A floor is an apartment of one storey. Every edge of a room is a plane. A wall is a Structure
 polygon; it has the planes that its edges look at: each edge with a room before it counts for the
 plane of that room whose centre is nearest.
@@ -21,6 +25,7 @@ Not tried: the release itself, which was not at hand; the tests write a small ta
 import csv
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -47,6 +52,26 @@ ROOM_TYPES: Final = (
 STRUCTURE: Final = "Structure"
 DOORS: Final = ("Door", "Entrance Door")
 WINDOW: Final = "Window"
+RAW_COLUMNS: Final = MappingProxyType({"geom": "geometry", "roomtype": "entity_subtype"})
+RAW_TYPES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "Bedroom": ("ROOM", "BEDROOM"),
+        "Livingroom": ("LIVING_ROOM", "LIVING_DINING"),
+        "Kitchen": ("KITCHEN", "KITCHEN_DINING"),
+        "Dining": ("DINING",),
+        "Corridor": ("CORRIDOR", "CORRIDORS_AND_HALLS"),
+        "Stairs": ("STAIRS", "STAIRCASE", "ELEVATOR", "VOID"),
+        "Storeroom": ("STOREROOM",),
+        "Bathroom": ("BATHROOM",),
+        BALCONY: ("BALCONY", "TERRACE", "RAILING"),
+        STRUCTURE: ("WALL", "COLUMN", "SHAFT"),
+        "Door": ("DOOR",),
+        "Entrance Door": ("ENTRANCE_DOOR",),
+        WINDOW: ("WINDOW",),
+    }
+)
+TYPE_OF: Final = MappingProxyType({raw: kind for kind, raws in RAW_TYPES.items() for raw in raws})
+PASSED_OVER: Final = "feature"  # the entity_type of sinks, stoves and the like
 MAX_APARTMENTS: Final = 5000  # the floor that reaches so many is the last
 PASSAGE: Final = 0.04  # metres: rooms that are nearer have no wall between them
 PROBE: Final = 0.01  # metres before an edge of a wall, where a room is looked for
@@ -101,8 +126,10 @@ def read_floors(path: str | Path, max_apartments: int = MAX_APARTMENTS) -> Floor
         origin = f"{floor}_{apartment}"
         drawn = [_parse(thing) for thing in things]
         try:
-            storey = storey_of_apartment(_sorted_shapes([t.kind for t in things], np.array(drawn)))
-            floors.append(Floor(building, origin, storey))
+            kinds = [thing.kind for thing in things]
+            storey = storey_of_apartment(_sorted_shapes(kinds, np.array(drawn)))
+            rooms = tuple(kind for kind in kinds if kind in ROOM_TYPES)
+            floors.append(Floor(building, origin, storey, rooms))
         except ValueError as error:
             left_out.append(f"{origin}: {error}")
     return Floors(floors, left_out)
@@ -197,9 +224,15 @@ def _things(path: str | Path) -> Iterator[Thing]:
             raise ValueError(f"{path}: the file is too large, expected {MAX_BYTES} bytes at most")
         with Path(path).open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, strict=True)
-            _check_columns(reader.fieldnames or (), path)
+            names = reader.fieldnames or ()
+            raw = not RAW_COLUMNS.keys() & set(names) and {*RAW_COLUMNS.values()} <= set(names)
+            if not raw:
+                _check_columns(names, path)
             for row in reader:
-                if thing := _thing(row, f"{path}: line {reader.line_num}"):
+                if raw and row.get("entity_type") == PASSED_OVER:
+                    continue
+                released = _released(row) if raw else row
+                if thing := _thing(released, f"{path}: line {reader.line_num}"):
                     yield thing
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}, expected a file to read") from error
@@ -207,6 +240,12 @@ def _things(path: str | Path) -> Iterator[Thing]:
         raise ValueError(f"{path}: not UTF-8 text, expected a table") from error
     except csv.Error as error:
         raise ValueError(f"{path}: not a table ({error})") from error
+
+
+def _released(row: Mapping[str | None, str | None]) -> dict[str | None, str | None]:
+    """Returns a row of Swiss Dwellings as MSD would have it."""
+    kind = row[RAW_COLUMNS["roomtype"]] or ""
+    return {**row, "geom": row[RAW_COLUMNS["geom"]], "roomtype": TYPE_OF.get(kind, kind)}
 
 
 def _check_columns(names: Collection[str], path: str | Path) -> None:

@@ -23,7 +23,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.data.robot import LEAST_SIDES, check_concepts, surfaces_of, truth_of
+from sg3d_jax.data.robot import LEAST_SIDES, surfaces_of, truth_of
 from sg3d_jax.data.robot_effects import (
     CLIMB,
     WANDER,
@@ -44,7 +44,7 @@ from sg3d_jax.data.robot_effects import (
 )
 from sg3d_jax.scene.changes import Changes
 from sg3d_jax.scene.graph import SceneGraph, features_of, make_graph, ontology_of, parts_first
-from sg3d_jax.scene.ontology import PLANE, ROOM, WALL
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PLANE, ROOM, WALL
 
 LEAST_STEPS: Final = 2  # in a room: what comes into view in part is whole a step later
 _TAG: Final = 16  # keeps our random numbers apart from those of generators and views
@@ -176,7 +176,7 @@ def replay(graph: SceneGraph, config: ReplayConfig, seed: int, index: int) -> li
     Raises:
       ValueError: the graph has other concepts or no room, or nothing of it is seen.
     """
-    check_concepts(graph, index)
+    _check_concepts(graph, index)
     rng = np.random.default_rng([seed, index, _TAG])
     planes = seen_whole(graph)
     for effect in (visit, miss, split, double):
@@ -198,6 +198,13 @@ def replay(graph: SceneGraph, config: ReplayConfig, seed: int, index: int) -> li
         changes, known = _changes(known, seen, ids, heir)
         steps.append(Step(changes, tuple(ids), truth, rows))
     return steps
+
+
+def _check_concepts(graph: SceneGraph, index: int) -> None:
+    """Refuses a graph of concepts of which we do not know how a map comes about."""
+    if ontology_of(graph) != PAPER_ONTOLOGY:
+        held = ", ".join(ontology_of(graph).names)
+        raise ValueError(f"graph {index}: its concepts are {held}, expected the paper's")
 
 
 def _rooms_of(graph: SceneGraph, planes: SeenPlanes) -> np.ndarray:

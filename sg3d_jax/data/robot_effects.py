@@ -17,8 +17,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from sg3d_jax.scene.graph import SceneGraph, parts_first
-from sg3d_jax.scene.ontology import ROOM
+from sg3d_jax.data.robot_things import ThingsConfig, is_surface
+from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
+from sg3d_jax.scene.ontology import Ontology
 
 LEAST_SEEN: Final = 0.1  # metres of a plane, or half of it, that count as having seen it
 LEAST_PART: Final = 0.2  # metres of each part of a plane that is cut in two
@@ -71,6 +72,7 @@ class RobotConfig:
       height_noise: of z, metres.
       clutter: number of planes that belong to nothing, as a share of those seen.
       clutter_width: range of their width, metres.
+      things: what is seen otherwise than it is of doors, objects and the like.
 
     Raises:
       ValueError: a share is not in 0..1, a range is empty, or a length is negative.
@@ -92,6 +94,7 @@ class RobotConfig:
     height_noise: float = 0.0
     clutter: float = 0.0
     clutter_width: tuple[float, float] = (0.2, 1.2)
+    things: ThingsConfig = ThingsConfig()
 
     def __post_init__(self) -> None:
         """Refuses settings that nothing can be seen with."""
@@ -132,9 +135,27 @@ class SeenPlanes(NamedTuple):
         return along(self.normal)
 
 
+def room_label(ontology: Ontology) -> int:
+    """Returns which concept a surface is part of one of: that of rooms.
+
+    Raises:
+      ValueError: what is seen of graphs of such concepts we do not know: surfaces, which have a
+        normal and a width, are not the lowest of them, or are not part of one room each.
+    """
+    surfaces = np.flatnonzero(ontology.is_observed & ontology.has("normal"))
+    rooms = np.flatnonzero(ontology.has_one_whole[0])
+    if surfaces.tolist() != [0] or not ontology.has("width")[0] or len(rooms) != 1:
+        held = ", ".join(ontology.names)
+        raise ValueError(
+            f"its concepts are {held}, expected planes with a normal and a width as the lowest, "
+            "each part of one room, and no others with a normal"
+        )
+    return int(rooms[0])
+
+
 def seen_whole(graph: SceneGraph) -> SeenPlanes:
     """Returns the planes of a complete graph, all of them seen whole."""
-    rows = np.flatnonzero(graph.nodes.observed)
+    rows = np.flatnonzero(is_surface(graph))
     width = graph.nodes.width[rows]
     whole = Stretches(np.arange(len(rows)), rows, -width / 2, width / 2)
     return SeenPlanes(graph.nodes.position[rows], graph.nodes.normal[rows, :2], width, whole)
@@ -144,7 +165,7 @@ def visit(
     planes: SeenPlanes, config: RobotConfig, graph: SceneGraph, rng: np.random.Generator
 ) -> SeenPlanes:
     """Drops the planes of the rooms that are far from where the robot began; all are whole yet."""
-    rooms = np.flatnonzero(graph.nodes.label == ROOM)
+    rooms = np.flatnonzero(graph.nodes.label == room_label(ontology_of(graph)))
     num_visited = max(1, round((1 - config.unvisited) * len(rooms)))
     if num_visited >= len(rooms):
         return planes
@@ -321,7 +342,7 @@ def litter(
     count = rng.binomial(len(planes.width), config.clutter)
     pairs = parts_first(graph)
     pairs = pairs[np.isin(pairs[:, 0], planes.stretches.plane)]
-    pairs = pairs[graph.nodes.label[pairs[:, 1]] == ROOM]
+    pairs = pairs[graph.nodes.label[pairs[:, 1]] == room_label(ontology_of(graph))]
     if not (count and len(pairs)):
         return planes
     wall, room = pairs[rng.integers(len(pairs), size=count)].T

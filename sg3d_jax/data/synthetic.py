@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from sg3d_jax.data.buildings import Building, Motion, city_graph, place, raised
+from sg3d_jax.data.furnished import FurnishedConfig
 from sg3d_jax.data.synthetic_floor import (
     Plan,
     SyntheticConfig,
@@ -96,7 +97,7 @@ LARGE: Final = CityConfig(storeys=(2, 5), extra_buildings=(1, 3), extra_storeys=
 
 
 def make_scene(
-    config: SyntheticConfig | CityConfig | WideConfig, seed: int, index: int
+    config: SyntheticConfig | CityConfig | WideConfig | FurnishedConfig, seed: int, index: int
 ) -> SceneGraph:
     """Draws one scene as a host graph; the same (config, seed, index) gives the same graph.
 
@@ -109,13 +110,18 @@ def make_scene(
       Planes, walls, rooms, floors, buildings and city, in this order, float64. A floor ends at its
       floor node, lies at z = 0 and has part-of edges only; buildings and cities have the
       proximity edges of the published S-C too: the 10 nearest planes of each plane before rooms
-      merge, and pairs that share a room or a wall. Wide scenes have part-of edges only.
+      merge, and pairs that share a room or a wall. Wide and furnished scenes have part-of edges
+      only; the latter have concepts of their own.
     """
     rng = np.random.default_rng([seed, index])
     if isinstance(config, WideConfig):
         from sg3d_jax.data.wide_scene import draw_scene  # brings shapely
 
         return draw_scene(config, rng)
+    if isinstance(config, FurnishedConfig):
+        from sg3d_jax.data import furnished_scene  # brings shapely
+
+        return furnished_scene.draw_scene(config, rng)
     if isinstance(config, SyntheticConfig):
         return _draw_floor(config, rng)
     return _draw_city(config, rng)

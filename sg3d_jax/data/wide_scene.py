@@ -40,6 +40,11 @@ def draw_scene(config: WideConfig, rng: np.random.Generator) -> SceneGraph:
 
     Source: `buildings.city_graph` says where floors, buildings and the city stand.
     """
+    return city_graph(draw_buildings(config, rng), config.top)
+
+
+def draw_buildings(config: WideConfig, rng: np.random.Generator) -> list[Building]:
+    """Draws the buildings of a scene where they stand."""
     nodes = config.size[0] * (config.size[1] / config.size[0]) ** rng.random()
     most = min(config.buildings[1], max(config.buildings[0], int(nodes // MIN_BUILDING)))
     number = int(rng.integers(config.buildings[0], most, endpoint=True))
@@ -52,7 +57,7 @@ def draw_scene(config: WideConfig, rng: np.random.Generator) -> SceneGraph:
             continue
         total += _size(building)
         buildings.append(_placed(building, buildings, config, rng))
-    return city_graph(buildings, config.top)
+    return buildings
 
 
 def _size(building: Building) -> int:

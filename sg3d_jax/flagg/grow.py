@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, Key
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Int, Key
 
 from sg3d_jax.diffusion.threefry import unrolled
 from sg3d_jax.flagg.compiled import Compiled
@@ -61,33 +62,58 @@ def grow(
 
     Source: paper, Sec. "Generating 3DSGs".
     """
-    graph, key = connect_observed(given), unrolled(key)
+    begun = _begun(model, params, key, given, max_steps, ask_first, steps)
+    step = functools.partial(_with_block, model, params, unrolled(key), max_steps)
+    return _ended(jax.lax.while_loop(lambda growing: growing.reason == RUNNING, step, begun))
+
+
+class _Growing(NamedTuple):
+    """A graph while it grows."""
+
+    graph: PackedGraph
+    reason: Array  # int32[], index into HALT_REASONS
+    steps: Array  # int32[], blocks inserted
+    closing: Array  # bool[], whether only the wholes that nodes lack may come
+
+
+def _begun(
+    model: Flagg,
+    params: Params,
+    key: Key[Array, ""],
+    given: PackedGraph,
+    max_steps: int,
+    ask_first: bool,
+    steps: Int[Array, ""] | int,
+) -> _Growing:
+    """Returns what is given before its first block."""
+    graph, steps = connect_observed(given), jnp.asarray(steps, jnp.int32)
     reason, closing = jnp.asarray(RUNNING), jnp.zeros((), bool)
     if ask_first:
-        is_asked = jnp.any(graph.nodes.mask & ~graph.nodes.observed) & (jnp.asarray(steps) == 0)
-        halted, closing = model.halts(params, jax.random.fold_in(key, max_steps), graph)
+        is_asked = jnp.any(graph.nodes.mask & ~graph.nodes.observed) & (steps == 0)
+        key = jax.random.fold_in(unrolled(key), max_steps)
+        halted, closing = model.halts(params, key, graph)
         reason, closing = jnp.where(is_asked & halted, HALTED, RUNNING), is_asked & closing
-
-    def running(state: tuple[PackedGraph, Array, Array, Array]) -> Bool[Array, ""]:
-        return state[1] == RUNNING
-
-    def step(
-        state: tuple[PackedGraph, Array, Array, Array],
-    ) -> tuple[PackedGraph, Array, Array, Array]:
-        graph, _, steps, closing = state
-        grown = model.step(params, jax.random.fold_in(key, steps), graph, closing)
-        steps = steps + grown.fits
-        reason = jnp.where(steps >= max_steps, MAX_STEPS, RUNNING)
-        reason = jnp.where(grown.halted, HALTED, reason)
-        reason = jnp.where(grown.fits, reason, CAPACITY)
-        return grown.graph, reason, steps, grown.closing
-
-    start = graph, reason, jnp.asarray(steps, jnp.int32), closing
-    graph, reason, steps, _ = jax.lax.while_loop(running, step, start)
-    return Grown(without_proximity(graph), reason, steps)
+    return _Growing(graph, reason, steps, closing)
 
 
-@functools.partial(Compiled, static_argnames=("model", "max_steps", "ask_first"))
+def _with_block(
+    model: Flagg, params: Params, key: Key[Array, ""], max_steps: int, growing: _Growing
+) -> _Growing:
+    """Returns a graph with the next block, and whether that was the last one."""
+    key = jax.random.fold_in(key, growing.steps)
+    grown = model.step(params, key, growing.graph, growing.closing)
+    steps = growing.steps + grown.fits
+    reason = jnp.where(steps >= max_steps, MAX_STEPS, RUNNING)
+    reason = jnp.where(grown.halted, HALTED, reason)
+    reason = jnp.where(grown.fits, reason, CAPACITY)
+    return _Growing(grown.graph, reason, steps, grown.closing)
+
+
+def _ended(growing: _Growing) -> Grown:
+    return Grown(without_proximity(growing.graph), growing.reason, growing.steps)
+
+
+@functools.partial(Compiled, static_argnames=("model", "max_steps", "ask_first", "lanes", "mesh"))
 def grow_lanes(
     model: Flagg,
     params: Params,
@@ -96,10 +122,70 @@ def grow_lanes(
     steps: Int[Array, " B"],
     max_steps: int,
     ask_first: bool,
+    lanes: int | None = None,
+    mesh: Mesh | None = None,
 ) -> Grown:
-    """Grows a batch of stacked scenes: `grow`, vmapped and compiled."""
+    """Grows a batch of stacked scenes: `grow` of each, bit for bit, in one program.
 
-    def one(key: Key[Array, ""], given: PackedGraph, steps: Int[Array, ""]) -> Grown:
-        return grow(model, params, key, given, max_steps, ask_first, steps)
+    Args:
+      model: see `grow`.
+      params: see `grow`.
+      keys: a key a scene.
+      given: what is given of each scene.
+      steps: blocks that were inserted before into each. A scene whose steps are `max_steps` already
+        is no scene, but fills the batch, and is not grown.
+      max_steps: see `grow`.
+      ask_first: see `grow`.
+      lanes: how many grow side by side on a device; where one is complete, the next takes its
+        place. None for all.
+      mesh: of one axis, devices that the batch is dealt to, each a run of it; None for the one on
+        which it is.
+    """
+    grown = functools.partial(_lanes_grown, model, max_steps, ask_first, lanes)
+    if mesh is None:
+        return grown(params, keys, given, steps)
+    dealt = PartitionSpec(mesh.axis_names)
+    specs = PartitionSpec(), dealt, dealt, dealt
+    grown = jax.shard_map(grown, mesh=mesh, in_specs=specs, out_specs=dealt, check_vma=False)
+    return grown(params, keys, given, steps)
 
-    return jax.vmap(one)(keys, given, steps)
+
+def _lanes_grown(
+    model: Flagg,
+    max_steps: int,
+    ask_first: bool,
+    lanes: int | None,
+    params: Params,
+    keys: Key[Array, " B"],
+    given: PackedGraph,
+    steps: Int[Array, " B"],
+) -> Grown:
+    """Grows a batch on one device: a lane is the place of a scene in it, until that is complete."""
+    count = len(steps)
+    if count == 1:  # on a CPU: `vmap` would make tracing half as long again
+        key, graph, before = jax.tree.map(lambda leaf: leaf[0], (keys, given, steps))
+        grown = grow(model, params, key, graph, max_steps, ask_first, before)
+        return jax.tree.map(lambda leaf: leaf[None], grown)
+
+    def begun(key: Key[Array, ""], given: PackedGraph, steps: Int[Array, ""]) -> _Growing:
+        scene = _begun(model, params, key, given, max_steps, ask_first, steps)
+        return scene._replace(reason=jnp.where(steps >= max_steps, MAX_STEPS, scene.reason))
+
+    def with_block(key: Key[Array, ""], growing: _Growing) -> _Growing:
+        return _with_block(model, params, unrolled(key), max_steps, growing)
+
+    def step(state: tuple[_Growing, Array, Array]) -> tuple[_Growing, Array, Array]:
+        scenes, places, first_waiting = state
+        one = jax.tree.map(lambda leaf: leaf.at[places].get(mode="clip"), (keys, scenes))
+        running = (places < count) & (one[1].reason == RUNNING)
+        grown = jax.vmap(with_block)(*one)
+        to = jnp.where(running, places, count)  # else dropped
+        scenes = jax.tree.map(lambda leaf, new: leaf.at[to].set(new, mode="drop"), scenes, grown)
+        free = ~running | (grown.reason != RUNNING)
+        places = jnp.where(free, first_waiting + jnp.cumsum(free) - 1, places)
+        return scenes, places, first_waiting + jnp.sum(free)
+
+    places = jnp.arange(min(lanes or count, count))
+    start = jax.vmap(begun)(keys, given, steps), places, jnp.asarray(len(places))
+    scenes, *_ = jax.lax.while_loop(lambda state: jnp.any(state[0].reason == RUNNING), step, start)
+    return jax.vmap(_ended)(scenes)

@@ -16,6 +16,7 @@ from sg3d_jax.fill.protocol import Fill, Terms
 from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
 from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss
 from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss
+from sg3d_jax.flagg.kinds import Kinds, kind_loss
 from sg3d_jax.flagg.ordering import Ordering, grown_layers
 from sg3d_jax.flagg.removal import Cut, draw_continuations, draw_cut
 from sg3d_jax.nn.kin import kin_fit
@@ -34,8 +35,8 @@ class FlaggConfig:
     continuations: int = 1  # blocks that may come next, trained on one encoded graph
     any_cuts: float = 0.0  # share of the training cuts that remove any nodes, not only the last
     corruption: CorruptionConfig = CorruptionConfig()
-    width: int = 32  # of Insert and Halt
-    depth: int = 2  # GINE layers of Insert and Halt
+    width: int = 32  # of Insert, Halt and Kinds
+    depth: int = 2  # GINE layers of Insert, Halt and Kinds
     halt_by_threshold: bool = True  # False: by a draw
     constrained: bool = True  # whether what is grown obeys the rules of the ontology
 
@@ -49,11 +50,12 @@ class FlaggConfig:
 
 
 class Params(NamedTuple):
-    """Parameters of the three modules; nothing else holds any."""
+    """Parameters of the modules; nothing else holds any."""
 
     insert: Any  # of Insert; empty where there is one block size
     fill: Any  # of the Fill model
     halt: Any  # of Halt
+    kinds: Any = None  # of Kinds; None where what is grown has none
 
 
 class Growth(NamedTuple):
@@ -74,6 +76,7 @@ class Flagg:
       insert: how many nodes come next.
       fill: what they are.
       halt: whether the graph is complete.
+      kinds: what kind the grown nodes of a graph are of; None if their concepts have none.
 
     Raises:
       ValueError: the order of the layers is none of the concepts of the Fill model.
@@ -83,6 +86,7 @@ class Flagg:
     insert: Insert
     fill: Fill
     halt: Halt
+    kinds: Kinds | None = None
 
     def __post_init__(self) -> None:
         """Refuses an order of other concepts."""
@@ -95,12 +99,14 @@ class Flagg:
 
     def init(self, key: Key[Array, ""], graph: SceneGraph) -> Params:
         """Draws initial parameters; `graph` is any padded graph."""
-        keys = jax.random.split(unrolled(key), 4)
+        key = unrolled(key)
+        keys = jax.random.split(key, 4)
         cut = cut_graph(self.config, keys[0], graph)
         return Params(
             insert=self.insert.init(keys[1], cut.survivors),
             fill=self.fill.init(keys[2], cut.survivors, cut.block),
             halt=self.halt.init(keys[3], cut.survivors),
+            kinds=self.kinds and self.kinds.init(jax.random.fold_in(key, 4), cut.survivors),
         )
 
     def loss(
@@ -108,7 +114,8 @@ class Flagg:
     ) -> tuple[Float[Array, ""], Terms]:
         """Returns the sum of all losses on one random cut of one complete graph, and its terms.
 
-        All three modules see the perturbed conditioning graph; the clean block is the target.
+        All modules see the perturbed conditioning graph; the clean block is the target. Kinds are
+        asked of it, too, and not only of complete graphs: it costs no further encoder of edges.
 
         Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
         """
@@ -128,7 +135,11 @@ class Flagg:
         fill_loss, terms = jax.tree.map(jnp.mean, losses)
         terms["insert"] = insert_loss(self.insert.logits(params.insert, old), cut.insert_probs)
         terms["halt"] = halt_loss(self.halt.logit(params.halt, old), cut.complete, cut.inserted)
-        return fill_loss + terms["insert"] + terms["halt"], terms
+        total = fill_loss + terms["insert"] + terms["halt"]
+        if self.kinds is None:
+            return total, terms
+        terms["kind"] = kind_loss(self.kinds.logits(params.kinds, old), old, cut.survivors)
+        return total + terms["kind"], terms
 
     def step(
         self,
@@ -140,7 +151,7 @@ class Flagg:
         """Inserts one block into a packed graph and asks Halt.
 
         Args:
-          params: of the three modules.
+          params: of the modules.
           key: of all that is drawn.
           graph: to be grown.
           closing: whether only what gives a node the whole that it lacks may come.
@@ -181,9 +192,11 @@ class Flagg:
 
 
 def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
-    """Puts Insert and Halt, of the sizes of a configuration, around a Fill model."""
+    """Puts Insert, Halt and Kinds, of the sizes of a configuration, around a Fill model."""
     insert = Insert(config.width, config.depth, len(config.coins))
-    return Flagg(config, insert, fill, Halt(config.width, config.depth))
+    kinds = Kinds(config.width, config.depth, fill.ontology)
+    kinds = kinds if kinds.most else None
+    return Flagg(config, insert, fill, Halt(config.width, config.depth), kinds)
 
 
 def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph) -> Cut:

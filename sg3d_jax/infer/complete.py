@@ -1,6 +1,6 @@
 """The one way in: scene graphs completed from host graphs, by any model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,7 +11,8 @@ from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.candidates import are_settled
 from sg3d_jax.infer.confidence import Confidence, judged, sure_of
 from sg3d_jax.infer.consensus import consensus
-from sg3d_jax.infer.lanes import Finished, Model, complete_lanes
+from sg3d_jax.infer.kinds import chances_of_kinds, with_kinds
+from sg3d_jax.infer.lanes import Course, Model, complete_lanes
 from sg3d_jax.infer.prepare import Scene, in_place, prepare, whole_again
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
@@ -33,6 +34,9 @@ class Completion(NamedTuple):
     # How likely each is right, 0 to 1; what was given has 1. None if one graph was drawn.
     node_confidence: np.ndarray | None = None  # float64[n]
     edge_confidence: np.ndarray | None = None  # float64[e], of the rows of `parts_first(graph)`
+    # float64[grown, K], how likely each kind of its concept is for each grown node, in their order;
+    # None if the model tells no kinds.
+    kinds: np.ndarray | None = None
 
     @property
     def num_given(self) -> int:
@@ -104,8 +108,8 @@ def complete(
         and for 1 where several are.
       keep: take all nodes and part-of edges of a scene as given, such as rooms that are known, and
         grow on from there.
-      lanes: scenes grown together in one call; None for as many as suit. Results do not depend on
-        it.
+      lanes: scenes that a device grows together; None for as many as suit. Results do not depend on
+        it, but for rounding.
       outgrow: whether a graph that does not fit its bucket goes on in the next, with room for up to
         three nodes a plane; else it ends there, with the halt reason CAPACITY.
       max_steps: a limit on the number of blocks.
@@ -122,6 +126,51 @@ def complete(
         scene without planes, numbers that are none, wrong shapes; a model that cannot keep; numbers
         out of range.
     """
+    return list(
+        complete_each(
+            model,
+            params,
+            scenes,
+            seed,
+            samples,
+            candidates,
+            keep,
+            lanes,
+            outgrow,
+            max_steps,
+            names,
+            normals,
+            cut,
+        )
+    )
+
+
+def complete_each(
+    model: Model,
+    params: Params,
+    scenes: Sequence[SceneGraph],
+    seed: int = 0,
+    samples: int = 1,
+    candidates: int | None = None,
+    keep: bool = False,
+    lanes: int | None = None,
+    outgrow: bool = True,
+    max_steps: int = DEFAULT_MAX_STEPS,
+    names: Sequence[str] | None = None,
+    normals: str = "check",
+    cut: str = "auto",
+    numbers: Sequence[int] | None = None,
+) -> Generator[list[Completion]]:
+    """Completes scene graphs as `complete` does, and hands out each as soon as it is there.
+
+    Others are grown meanwhile. Only some are begun ahead of the next to be handed out, so that
+    there may be any number. Arguments are those of `complete`, but for `numbers`: those of the
+    scenes, which with the seed fix their samples. By default they are the positions in `scenes`;
+    parts of a list are completed as in the whole of it if they say where they were.
+
+    Returns:
+      For every scene, in order, its samples. What is refused is so before anything is begun.
+    """
     for name, value in (
         ("samples", samples),
         ("candidates", 1 if candidates is None else candidates),
@@ -135,11 +184,15 @@ def complete(
     prepared = prepare(scenes, model.ontology, keep, names, normals, cut)
     most = (CANDIDATES if samples == 1 else 1) if candidates is None else candidates
 
-    def draw(draws: Sequence[tuple[int, int]]) -> list[Finished]:
-        return complete_lanes(model, params, prepared, draws, seed, max_steps, lanes, outgrow)
+    def kinds(scene: Scene, graph: SceneGraph) -> np.ndarray | None:
+        return chances_of_kinds(model, params, graph, scene.num_in_pieces)
 
-    drawn = _drawn(draw, prepared, samples, most)
-    return [_completions(*of_scene) for of_scene in zip(prepared, drawn, strict=True)]
+    def course(scene: Scene) -> Course[list[Completion]]:
+        drawn = yield from _drawn(scene, samples, most)
+        return _completions(scene, drawn, kinds)
+
+    limits = seed, max_steps, numbers, lanes, outgrow
+    return complete_lanes(model, params, prepared, course, *limits)
 
 
 def share_halted(completions: Sequence[Completion]) -> float | None:
@@ -148,30 +201,24 @@ def share_halted(completions: Sequence[Completion]) -> float | None:
     return None if "ONE_SHOT" in reasons else reasons.count("HALTED") / len(reasons)
 
 
-def _drawn(
-    draw: Callable[[Sequence[tuple[int, int]]], list[Finished]],
-    scenes: Sequence[Scene],
-    samples: int,
-    candidates: int,
-) -> list[list[list[_Drawn]]]:
-    """Returns the candidates of every sample of every scene: round by round, as many as it needs.
-
-    What is drawn of a scene does not depend on the others, nor do its rounds.
-    """
-    drawn: list[list[list[_Drawn]]] = [[[] for _ in range(samples)] for _ in scenes]
-    waiting = [(scene, sample) for scene in range(len(scenes)) for sample in range(samples)]
+def _drawn(scene: Scene, samples: int, candidates: int) -> Course[list[list[_Drawn]]]:
+    """Draws the candidates of every sample of a scene: round by round, as many as it needs."""
+    drawn: list[list[_Drawn]] = [[] for _ in range(samples)]
+    waiting = list(range(samples))
     for first in range(0, candidates, ROUND):
         numbers = range(first, min(first + ROUND, candidates))
-        draws = [(place, number) for place in waiting for number in numbers]
-        results = draw([(scene, sample * candidates + n) for (scene, sample), n in draws])
-        for ((scene, sample), _), result in zip(draws, results, strict=True):
-            graph = in_place(scenes[scene], result.graph)
-            drawn[scene][sample].append(_Drawn(graph, result.halt_reason, result.steps))
+        draws = [(sample, number) for sample in waiting for number in numbers]
+        results = yield [sample * candidates + number for sample, number in draws]
+        for (sample, _), result in zip(draws, results, strict=True):
+            graph = in_place(scene, result.graph)
+            drawn[sample].append(_Drawn(graph, result.halt_reason, result.steps))
         waiting = [
-            (scene, sample)
-            for scene, sample in waiting
-            if not are_settled(_graphs(drawn[scene][sample]), scenes[scene].num_in_pieces)
+            sample
+            for sample in waiting
+            if not are_settled(_graphs(drawn[sample]), scene.num_in_pieces)
         ]
+        if not waiting:
+            break
     return drawn
 
 
@@ -179,13 +226,21 @@ def _graphs(drawn: Sequence[_Drawn]) -> list[SceneGraph]:
     return [one.graph for one in drawn]
 
 
-def _completions(scene: Scene, samples: Sequence[Sequence[_Drawn]]) -> list[Completion]:
+def _completions(
+    scene: Scene,
+    samples: Sequence[Sequence[_Drawn]],
+    kinds: Callable[[Scene, SceneGraph], np.ndarray | None],
+) -> list[Completion]:
     """Returns what is kept of all that was drawn of one scene, and how sure it is."""
     kept: list[_Drawn] = []
+    chances: list[np.ndarray | None] = []
     for candidates in samples:
         # Pieces of one observed node may belong to several wholes, so they vote apart.
         graph, index = consensus(_graphs(candidates), scene.num_in_pieces)
-        kept.append(candidates[index]._replace(graph=whole_again(scene, graph)))
+        chances.append(kinds(scene, graph))
+        graph = whole_again(scene, graph)
+        graph = graph if chances[-1] is None else with_kinds(graph, chances[-1])
+        kept.append(candidates[index]._replace(graph=graph))
     drawn = [whole_again(scene, one.graph) for candidates in samples for one in candidates]
     graphs = [one.graph for one in kept]
     judgements = judged(graphs, drawn, scene.num_given)
@@ -202,6 +257,9 @@ def _completions(scene: Scene, samples: Sequence[Sequence[_Drawn]]) -> list[Comp
             (*scene.remarks, *doubts),
             scene.num_pieces,
             *of_parts,
+            kinds=of_kinds,
         )
-        for one, (confidence, doubts), of_parts in zip(kept, judgements, sure, strict=True)
+        for one, (confidence, doubts), of_parts, of_kinds in zip(
+            kept, judgements, sure, chances, strict=True
+        )
     ]

@@ -1,18 +1,20 @@
 """Many scenes in compiled batches: buckets by size, lanes of a batch, one key a sample.
 
-What a lane makes of its scene does not depend on the other lanes, nor on how many there are.
+What a lane makes of its scene depends neither on the other lanes nor on how many there are, nor on
+threads and devices. Scenes are begun in order, some ahead of those that are done, so that results
+come while others are grown, and no more is kept than of those under way.
 """
 
-import itertools
 import operator
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from typing import Any, Final, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Key
 
 from sg3d_jax.fill.protocol import Params, Terms
@@ -25,6 +27,8 @@ from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity, bucket, stack, unp
 
 LANES = 256  # scenes that an accelerator grows together at most, and
 LANE_NODES = 32_768  # nodes of all of them
+QUEUE = 4  # scenes that each of several lanes takes in one call, one after another
+BEGUN = 16  # scenes under way for each core of a CPU, and for each of the lanes of an accelerator
 MAX_OBSERVED = 1133  # that with what grows from them fit the largest bucket
 _programs: Final[set[Any]] = set()  # that this process has compiled
 WORD = 32  # bits of a seed that JAX takes at once
@@ -86,6 +90,12 @@ class Finished(NamedTuple):
     steps: int  # blocks inserted
 
 
+Result = TypeVar("Result")
+# How a scene is completed: it yields the numbers of the samples that it needs, is sent what became
+# of them, perhaps asks for more, and returns what it makes of them all.
+Course = Generator[Sequence[int], Sequence[Finished], Result]
+
+
 def root_key(seed: int) -> Key[Array, ""]:
     """Returns the key of a seed of any size; seeds below 2^32 are those of `jax.random.key`.
 
@@ -102,11 +112,16 @@ def root_key(seed: int) -> Key[Array, ""]:
 
 def sample_keys(seed: int, scenes: Sequence[int], samples: Sequence[int]) -> Key[Array, " B"]:
     """Returns a key for each (scene, sample) pair, so that neither batch nor count changes any."""
+    pairs = (np.asarray(numbers, np.uint32) for numbers in (scenes, samples))
+    return _folded_in(root_key(seed), *pairs)
 
+
+@jax.jit
+def _folded_in(root: Key[Array, ""], scenes: Array, samples: Array) -> Key[Array, " B"]:
     def one(scene: Array, sample: Array) -> Key[Array, ""]:
-        return jax.random.fold_in(jax.random.fold_in(root_key(seed), scene), sample)
+        return jax.random.fold_in(jax.random.fold_in(root, scene), sample)
 
-    return jax.vmap(one)(jnp.asarray(scenes, jnp.uint32), jnp.asarray(samples, jnp.uint32))
+    return jax.vmap(one)(scenes, samples)
 
 
 def growth_capacity(num_observed: int, num_given: int = 0) -> Capacity:
@@ -135,7 +150,7 @@ def largest_capacity(num_observed: int, num_given: int = 0) -> Capacity:
 
 
 def num_lanes(capacity: Capacity) -> int:
-    """Returns how many scenes of a bucket are grown together by default; one program a bucket.
+    """Returns how many scenes of a bucket a device grows together by default.
 
     A core of a CPU is as fast with one as with eight, and no lane then waits for another.
     """
@@ -145,90 +160,253 @@ def num_lanes(capacity: Capacity) -> int:
 
 
 def num_workers() -> int:
-    """Returns how many batches are grown side by side: as many as there are cores, on a CPU."""
+    """Returns how many batches are under way side by side: on a CPU as many as there are cores.
+
+    On an accelerator they are compiled side by side, and what the host does for some takes no time
+    from the others.
+    """
     if jax.default_backend() != "cpu":
-        return 1
+        return 4
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def lane_mesh() -> Mesh | None:
+    """Returns the devices that a batch is dealt to, all of this process; None if there is but one.
+
+    The devices of a CPU are the same cores, which threads use already.
+    """
+    told: Any = jax.config
+    if jax.default_backend() == "cpu" or told.jax_default_device or jax.local_device_count() == 1:
+        return None
+    return Mesh(np.array(jax.local_devices()), ("lanes",))
 
 
 def complete_lanes(
     model: Model,
     params: Params,
     scenes: Sequence[Scene],
-    draws: Sequence[tuple[int, int]],
+    course: Callable[[Scene], Course[Result]],
     seed: int,
     max_steps: int,
+    numbers: Sequence[int] | None = None,
     lanes: int | None = None,
     outgrow: bool = True,
-) -> list[Finished]:
+) -> Generator[Result]:
     """Completes prepared scenes in batches of one size.
 
     Args:
       model: grows, or completes at once.
       params: its parameters.
       scenes: of `prepare`.
-      draws: what is drawn: the place of a scene in the list, and the number of the sample.
+      course: how a scene is completed.
       seed: of `sample_keys`.
       max_steps: a limit on the number of blocks.
-      lanes: scenes grown together; None for `num_lanes`. The results do not depend on it.
+      numbers: of the scenes, for `sample_keys`; None for their places in the list.
+      lanes: scenes that a device grows together; None for `num_lanes`. Results do not depend on it,
+        but for rounding.
       outgrow: whether a graph that does not fit goes on in the next bucket, up to
         `largest_capacity`.
 
     Returns:
-      What was drawn, in the order of `draws`.
+      What becomes of the scenes, in order, each as soon as it and those before it are done.
+
+    Raises:
+      ValueError: a scene exceeds the largest bucket; nothing is begun.
     """
-    waiting: dict[Capacity, list[Job]] = {}
     capacities = [_capacity(model, scene) for scene in scenes]
-    for number, sample in draws:
-        job = Job(number, sample, scenes[number].centred, 0)
-        waiting.setdefault(capacities[number], []).append(job)
-    finished: dict[tuple[int, int], Finished] = {}
-    while waiting:
-        capacity = min(waiting)
-        jobs, width = waiting.pop(capacity), lanes or num_lanes(capacity)
-        # Neighbours in a batch are of like size, so that they need like numbers of steps.
-        jobs.sort(key=lambda job: len(job.graph.nodes.label))
-        batches = [jobs[first : first + width] for first in range(0, len(jobs), width)]
-
-        def run(batch: list[Job], capacity: Capacity = capacity, width: int = width) -> Any:
-            padded = [*batch, *[batch[-1]] * (width - len(batch))]  # idle lanes repeat the last
-            missing = [scenes[job.scene].num_missing for job in padded]
-            return _run(model, params, padded, missing, capacity, seed, max_steps)
-
-        program = model, capacity, width, max_steps
-        results = _side_by_side(run, batches, first_alone=program not in _programs)
-        _programs.add(program)
-        for job, result in zip(jobs, itertools.chain(*results), strict=False):
-            if result.halt_reason == CAPACITY and outgrow and capacity < _most(scenes[job.scene]):
-                larger = bucket(capacity.nodes + 1)
-                later = Job(job.scene, job.sample, result.graph, result.steps)
-                waiting.setdefault(larger, []).append(later)
-            else:
-                finished[job.scene, job.sample] = result
-    return [finished[draw] for draw in draws]
+    mesh = lane_mesh() if isinstance(model, Flagg) else None
+    if mesh is not None:
+        params = jax.device_put(params, NamedSharding(mesh, PartitionSpec()))
+    numbers = range(len(scenes)) if numbers is None else numbers
+    runner = _Runner(model, params, scenes, numbers, seed, max_steps, lanes, mesh)
+    return _in_order(_Work(runner, capacities, course, outgrow), len(scenes))
 
 
-def _side_by_side(
-    run: Callable[[list[Any]], list[Any]], batches: Sequence[list[Any]], first_alone: bool
-) -> list[list[Any]]:
-    """Runs batches in threads, on request the first alone, so that a program is compiled once.
+class _Runner(NamedTuple):
+    """What is the same for all batches of one call."""
 
-    What JAX is told for one thread, such as by `jax.default_device`, is so in all.
+    model: Model
+    params: Params
+    scenes: Sequence[Scene]
+    numbers: Sequence[int]  # of the scenes, for their keys
+    seed: int
+    max_steps: int
+    lanes: int | None  # of a device; None for `num_lanes`
+    mesh: Mesh | None  # devices; None for one
+
+    def width(self, capacity: Capacity) -> int:
+        """Returns how many scenes of a bucket a device grows together."""
+        return self.lanes or num_lanes(capacity)
+
+    def size(self, capacity: Capacity) -> int:
+        """Returns how many scenes of a bucket are a full batch."""
+        width, is_queue = self.width(capacity), isinstance(self.model, Flagg)
+        devices = 1 if self.mesh is None else self.mesh.size
+        return width * devices * (QUEUE if is_queue and width > 1 else 1)
+
+    def program(self, capacity: Capacity) -> Any:
+        """Returns what a compiled program of a bucket is known by."""
+        return self.model, capacity, self.width(capacity), self.max_steps, self.mesh
+
+    def run(self, capacity: Capacity, jobs: Sequence[Job]) -> list[Finished]:
+        """Runs a batch in one call; those that are no full one are filled up.
+
+        What is dealt to devices are runs of the batch, so the jobs are dealt to those, and fillers
+        come last in each. They repeat a job, but are not grown: they have had all their steps.
+        """
+        size, devices = self.size(capacity), 1 if self.mesh is None else self.mesh.size
+        order = np.arange(size).reshape(-1, devices).T.ravel()
+        filled = [*jobs, *[jobs[-1]._replace(steps=self.max_steps)] * (size - len(jobs))]
+        filled = [filled[index] for index in order.tolist()]
+        keys = sample_keys(
+            self.seed, [self.numbers[job.scene] for job in filled], [job.sample for job in filled]
+        )
+        given = stack([job.graph for job in filled], capacity)
+        grown = jax.tree.map(np.asarray, self._completed(capacity, filled, keys, given))
+        places = np.argsort(order)[: len(jobs)]
+        return [_unstacked(jax.tree.map(operator.itemgetter(i), grown)) for i in places.tolist()]
+
+    def _completed(
+        self,
+        capacity: Capacity,
+        jobs: Sequence[Job],
+        keys: Key[Array, " B"],
+        given: PackedGraph,
+    ) -> Grown:
+        """Completes a full batch."""
+        if isinstance(self.model, Flagg):
+            steps = np.asarray([job.steps for job in jobs], np.int32)
+            # Observed nodes alone are not asked about: one program less.
+            ask_first = any(job.steps == 0 and not _is_observed(job.graph).all() for job in jobs)
+            lanes = self.width(capacity)
+            limits = self.max_steps, ask_first, lanes, self.mesh
+            return grow_lanes(self.model, self.params, keys, given, steps, *limits)
+        if isinstance(self.model, OneShot):
+            missing = [self.scenes[job.scene].num_missing for job in jobs]
+            missing = jnp.asarray(missing, jnp.int32)
+            return self.model.complete_lanes(self.params, keys, given, missing)
+        raise TypeError(f"{type(self.model).__name__} neither grows nor completes at once")
+
+
+class _Work:
+    """Scenes that are begun: the samples that they wait for, and the batches under way."""
+
+    def __init__(
+        self,
+        runner: _Runner,
+        capacities: Sequence[Capacity],
+        course: Callable[[Scene], Course],
+        outgrow: bool,
+    ) -> None:
+        """Begins nothing."""
+        self.done: dict[int, Any] = {}  # what became of scenes
+        self._runner, self._course, self._outgrow = runner, course, outgrow
+        self._capacities = capacities  # in which the scenes begin
+        self._courses: dict[int, Course] = {}  # of scenes that are begun and not done
+        self._asked: dict[int, Sequence[int]] = {}  # samples that they wait for
+        self._known: dict[int, dict[int, Finished]] = {}  # what became of some of those
+        self._waiting: dict[Capacity, list[Job]] = {}
+        self._under_way: dict[Future[list[Finished]], tuple[Capacity, list[Job]]] = {}
+        self._pool = ThreadPoolExecutor(num_workers())
+        self._run = _as_here(runner.run)
+
+    def begin(self, place: int) -> None:
+        """Begins a scene."""
+        self._courses[place] = self._course(self._runner.scenes[place])
+        self._tell(place, None)
+
+    def go_on(self) -> None:
+        """Begins batches, one more for each thread than it can run, and waits until one is done."""
+        while len(self._under_way) < 2 * num_workers() and (found := self._startable()) is not None:
+            jobs, size = self._waiting.pop(found), self._runner.size(found)
+            jobs.sort(key=lambda job: job.scene)
+            if jobs[size:]:
+                self._waiting[found] = jobs[size:]
+            # Large ones take the most steps: begun last, they would be waited for.
+            batch = sorted(jobs[:size], key=lambda job: -len(job.graph.nodes.label))
+            self._under_way[self._pool.submit(self._run, found, batch)] = found, batch
+        for future in wait(self._under_way, return_when=FIRST_COMPLETED).done:
+            capacity, jobs = self._under_way.pop(future)
+            for job, result in zip(jobs, future.result(), strict=True):
+                self._take(job, result, capacity)
+            _programs.add(self._runner.program(capacity))
+
+    def stop(self) -> None:
+        """Begins nothing more, as after Ctrl-C."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _startable(self) -> Capacity | None:
+        """Returns the bucket of the next batch, that of the first scene: if it is a full one.
+
+        It need not be if nothing else is under way, or if its program is to be compiled, which
+        takes long. While it is compiled no other batch of the bucket is begun, which would compile
+        it again.
+        """
+        begun = {capacity for capacity, _ in self._under_way.values()}
+        first = {}
+        for capacity, jobs in self._waiting.items():
+            is_new = self._runner.program(capacity) not in _programs
+            is_full = len(jobs) >= self._runner.size(capacity)
+            if (is_new and capacity not in begun) or (not is_new and (is_full or not begun)):
+                first[capacity] = min(job.scene for job in jobs)
+        return min(first, key=first.__getitem__, default=None)
+
+    def _take(self, job: Job, result: Finished, capacity: Capacity) -> None:
+        """Notes what became of a job, or lets it go on in the next bucket."""
+        most = _most(self._runner.scenes[job.scene])
+        if result.halt_reason == CAPACITY and self._outgrow and capacity < most:
+            later = job._replace(graph=result.graph, steps=result.steps)
+            self._waiting.setdefault(bucket(capacity.nodes + 1), []).append(later)
+            return
+        known, asked = self._known[job.scene], self._asked[job.scene]
+        known[job.sample] = result
+        if len(known) == len(asked):
+            self._tell(job.scene, [known[sample] for sample in asked])
+
+    def _tell(self, place: int, results: Sequence[Finished] | None) -> None:
+        """Tells a scene what became of its samples, none at first, and hears what it needs more."""
+        try:
+            samples = self._courses[place].send(results)  # ty: ignore[invalid-argument-type]
+        except StopIteration as end:
+            self.done[place] = end.value
+            for of_scenes in (self._courses, self._asked, self._known):
+                of_scenes.pop(place, None)
+            return
+        self._asked[place], self._known[place] = samples, {}
+        given = self._runner.scenes[place].centred
+        jobs = [Job(place, sample, given, 0) for sample in samples]
+        self._waiting.setdefault(self._capacities[place], []).extend(jobs)
+
+
+def _in_order(work: _Work, count: int) -> Generator[Any]:
+    """Yields what becomes of so many scenes, each as soon as it is known."""
+    ahead = BEGUN * (num_workers() if jax.default_backend() == "cpu" else LANES)
+    begun = 0
+    try:
+        for place in range(count):
+            while place not in work.done:
+                while begun < min(place + ahead, count):
+                    work.begin(begun)
+                    begun += 1
+                work.go_on()
+            yield work.done.pop(place)
+    finally:
+        work.stop()
+
+
+def _as_here(run: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns a function for other threads, in which JAX is told what it is told in this one.
+
+    Such as by `jax.default_device`.
     """
-    number = int(first_alone)
-    results = [run(batch) for batch in batches[:number]]
     told: Any = jax.config
     device, checks = told.jax_default_device, told.jax_debug_key_reuse
 
-    def as_here(batch: list[Any]) -> list[Any]:
+    def run_here(*arguments: Any) -> Any:
         with jax.default_device(device), jax.debug_key_reuse(checks):
-            return run(batch)
+            return run(*arguments)
 
-    pool = ThreadPoolExecutor(num_workers())
-    try:
-        return [*results, *pool.map(as_here, batches[number:])]
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # after Ctrl-C nothing more is begun
+    return run_here
 
 
 def _capacity(model: Model, scene: Scene) -> Capacity:
@@ -255,29 +433,8 @@ def _most(scene: Scene) -> Capacity:
     return largest_capacity(int(np.sum(nodes.observed)), len(nodes.label))
 
 
-def _run(
-    model: Model,
-    params: Params,
-    jobs: Sequence[Job],
-    num_missing: Sequence[int],
-    capacity: Capacity,
-    seed: int,
-    max_steps: int,
-) -> list[Finished]:
-    """Runs the jobs of one batch in one call."""
-    keys = sample_keys(seed, [job.scene for job in jobs], [job.sample for job in jobs])
-    given = stack([job.graph for job in jobs], capacity)
-    if isinstance(model, Flagg):
-        steps = jnp.asarray([job.steps for job in jobs], jnp.int32)
-        nodes = given.nodes  # a graph of observed nodes alone is not asked about: one program less
-        ask_first = bool(np.any(nodes.mask & ~nodes.observed & (np.asarray(steps) == 0)[:, None]))
-        grown = grow_lanes(model, params, keys, given, steps, max_steps, ask_first)
-    elif isinstance(model, OneShot):
-        grown = model.complete_lanes(params, keys, given, jnp.asarray(num_missing, jnp.int32))
-    else:
-        raise TypeError(f"{type(model).__name__} neither grows nor completes at once")
-    grown = jax.tree.map(np.asarray, grown)
-    return [_unstacked(jax.tree.map(operator.itemgetter(i), grown)) for i in range(len(jobs))]
+def _is_observed(graph: SceneGraph) -> np.ndarray:
+    return np.asarray(graph.nodes.observed)
 
 
 def _unstacked(grown: Any) -> Finished:

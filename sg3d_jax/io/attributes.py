@@ -2,7 +2,8 @@
 
 Graphs hold numbers alone, so attributes travel beside them, a dict of JSON values a node: read with
 a graph, mapped to the nodes of another one, and written with that. How sure a node is, from 0 to
-1, is the attribute "confidence"; how sure the part-of edges are is an array of its own.
+1, is the attribute "confidence"; how sure the part-of edges are is an array of its own. How likely
+each kind is for a node is the attribute "kinds".
 """
 
 import json
@@ -11,14 +12,16 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.graph import Array, SceneGraph, parts_first
-from sg3d_jax.scene.ontology import FEATURES
+from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, parts_first
+from sg3d_jax.scene.ontology import Ontology
 
 Attributes = Sequence[Mapping[str, Any]]
 
 ID: Final = "id"
+NAME: Final = "name"  # what a person calls a node
 CONFIDENCE: Final = "confidence"  # of a node, and of an edge where a format says things of edges
-OWN: Final = ("label", "position", *FEATURES)  # what documents of graphs say of a node beside it
+KINDS: Final = "kinds"  # such as {"bedroom": 0.83, "office": 0.17}, the likeliest first
+LEAST_CHANCE: Final = 0.005  # that a kind must have to be said
 
 
 class Read(NamedTuple):
@@ -27,11 +30,17 @@ class Read(NamedTuple):
     graph: SceneGraph  # on the host
     attributes: Attributes  # of each node
     edge_confidence: np.ndarray | None = None  # float[e], 0 to 1, of the rows of `parts_first`
+    remarks: tuple[str, ...] = ()  # what of the file is not in it; a sentence each
 
 
 def bare(graph: SceneGraph) -> Read:
     """Returns a graph of whose nodes and edges nothing else is said."""
     return Read(graph, [{}] * len(graph.nodes.label))
+
+
+def own(ontology: Ontology) -> tuple[str, ...]:
+    """Returns what documents of graphs say of a node beside its id."""
+    return ("label", "position", *ontology.features)
 
 
 def further(values: Mapping[str, Any], known: Sequence[str]) -> dict[str, Any]:
@@ -40,15 +49,20 @@ def further(values: Mapping[str, Any], known: Sequence[str]) -> dict[str, Any]:
 
 
 def check_attributes(
-    attributes: Attributes, where: str, noun: str = "nodes", names: Sequence[str] = ()
+    attributes: Attributes,
+    ontology: Ontology,
+    where: str,
+    noun: str = "nodes",
+    names: Sequence[str] = (),
 ) -> None:
     """Refuses attributes that a document of a graph cannot hold.
 
     Args:
       attributes: of each node.
+      ontology: the concepts of the nodes.
       where: what the sentence starts with, such as "planes.json".
       noun: what the sentence calls the nodes.
-      names: what a format says of a node itself, beside `OWN`.
+      names: what a format says of a node itself, beside `own`.
 
     Raises:
       ValueError: one sentence that names the node and its attribute: a key that graphs use, ids
@@ -57,7 +71,7 @@ def check_attributes(
     row_of_id: dict[int | str, int] = {}
     for row, held in enumerate(attributes):
         here = f"{where}: {noun}[{row}]"
-        if taken := [key for key in (*OWN, *names) if key in held]:
+        if taken := [key for key in (*own(ontology), *names) if key in held]:
             raise ValueError(
                 f"{here} has {taken[0]!r}, which the result says itself, expected another name"
             )
@@ -125,6 +139,27 @@ def with_confidence(attributes: Attributes, confidence: Array | None) -> Attribu
         return attributes
     values = np.asarray(confidence, np.float64).tolist()
     return [{CONFIDENCE: value} | {**held} for value, held in zip(values, attributes, strict=True)]
+
+
+def with_kinds(attributes: Attributes, graph: SceneGraph, chances: Array | None) -> Attributes:
+    """Returns the attributes of nodes with how likely each kind is for those that were grown.
+
+    Args:
+      attributes: of each node.
+      graph: unpadded.
+      chances: float[grown, K] of `Completion.kinds`, of the last nodes; None if nothing is known.
+    """
+    if chances is None:
+        return attributes
+    concepts, first = ontology_of(graph).concepts, len(attributes) - len(chances)
+    said = [*attributes[:first]]
+    labels = np.asarray(graph.nodes.label)[first:].tolist()
+    for held, label, row in zip(attributes[first:], labels, np.asarray(chances), strict=True):
+        kinds = concepts[label].kinds
+        likely = [place for place in np.argsort(-row, kind="stable") if row[place] > LEAST_CHANCE]
+        shown = {kinds[place]: round(float(row[place]), 4) for place in likely}
+        said.append({**held, KINDS: shown} if shown else held)
+    return said
 
 
 def node_confidence_of(attributes: Attributes) -> np.ndarray | None:

@@ -1,4 +1,6 @@
-"""Scene graphs as GraphML, the XML that networkx, Gephi and yEd read: one graph a file.
+"""Scene graphs as GraphML, the XML that networkx, Gephi, yEd, igraph and Neo4j read and write.
+
+One graph a file. GEXF, in which Gephi saves, is read, too.
 
 GraphML has scalars only, so that vectors are spread: nodes have `concept`, `x`, `y`, `z` and, if
 planes, `normal_x`, `normal_y`, `normal_z`, `width`; edges have `kind`, and may have `confidence`;
@@ -11,31 +13,25 @@ for a list, as JSON. The id of a node is that of the XML; digits mean a number.
 
 import json
 import math
+import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree
 
 from sg3d_jax.io.attributes import ID, Attributes, Read, further, value_in
 from sg3d_jax.io.files import parsed, read_bytes, replacing
 from sg3d_jax.io.networkx import NAMES as NODE_NAMES
-from sg3d_jax.io.networkx import read_networkx, to_networkx
+from sg3d_jax.io.networkx import VECTORS, read_networkx, to_networkx
 from sg3d_jax.scene.graph import Array, SceneGraph
-from sg3d_jax.scene.ontology import FEATURES
 from sg3d_jax.scene.validate import validate_graph
 
-VECTORS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {"pos": ("x", "y", "z")}
-    | {
-        name: tuple(f"{name}_{axis}" for axis in ("xyz" if shape == (3,) else range(*shape)))
-        for name, shape in FEATURES.items()
-        if shape
-    }
-)
+if TYPE_CHECKING:
+    import networkx
+
 NAMES: Final = (*NODE_NAMES, *chain(*VECTORS.values()))  # what nodes have beside features
 JSON_STARTS: Final = ("[", "{", '"')
 UNREADABLE: Final = ("self", "node_for_adding")  # names that networkx's reader trips over
@@ -72,6 +68,8 @@ def write_graphml(
         for vector, scalars in VECTORS.items():
             if vector in of_node:
                 of_node.update(zip(scalars, of_node.pop(vector), strict=True))
+        for unknown in [name for name, value in of_node.items() if value is None]:
+            del of_node[unknown]  # such as a kind; attributes that are null are text by now
     with replacing(path) as temporary, temporary.open("wb") as file:
         networkx.write_graphml_xml(made, file)
 
@@ -84,18 +82,48 @@ def read_graphml(path: str | Path) -> Read:
     """
     import networkx
 
+    root, made = _parsed(path, networkx.read_graphml, "GraphML")
+    _check(root, f"{path}")
+    keys = {one.get("id"): one.get("attr.name") for one in root.iter() if _tag(one) == "key"}
+    for element in root.iter():
+        if _tag(element) == "node":
+            # What yEd says of where it draws a node has taken the names of where the node is.
+            data = [(keys.get(one.get("key")), one.text) for one in element.iterfind(DATA)]
+            made.nodes[element.get("id")].update((k, v) for k, v in data if k in VECTORS["pos"])
+    return _read_all(made, f"{path}")
+
+
+def read_gexf(path: str | Path) -> Read:
+    """Returns the host graph of a GEXF file, as `read_graphml` does.
+
+    Raises:
+      ValueError: one sentence that names the file, the node or edge and the field.
+    """
+    import networkx
+
+    _, made = _parsed(path, networkx.read_gexf, "GEXF")
+    for of_node in made.nodes.values():
+        if "concept" in of_node:
+            of_node.pop("label", None)  # what Gephi shows
+    return _read_all(made, f"{path}")
+
+
+def _parsed(path: str | Path, read: Callable[..., Any], kind: str) -> tuple[Any, Any]:
+    """Returns the XML of a file, and the networkx graph that it describes."""
     data = read_bytes(path, MAX_BYTES)
     try:
-        root = ElementTree.fromstring(data)
-        made = networkx.read_graphml(BytesIO(data))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Neo4j states no types: all is text
+            return ElementTree.fromstring(data), read(BytesIO(data))
     except Exception as error:  # networkx lets through whatever its parser meets with
-        raise ValueError(f"{path}: not GraphML that can be read ({error!r:.80})") from error
-    _check(root, f"{path}")
+        raise ValueError(f"{path}: not {kind} that can be read ({error!r:.80})") from error
+
+
+def _read_all(made: "networkx.Graph", where: str) -> Read:
+    """Returns what a networkx graph of scalars says."""
     if "ontology" in made.graph:
-        made.graph["ontology"] = parsed(f"{made.graph['ontology']}", f"{path}: ontology")
-    for name, of_node in made.nodes.items():
-        _gather(of_node, f"{path}: node {name!r:.40}")
-    read = read_networkx(made, f"{path}")
+        made.graph["ontology"] = parsed(f"{made.graph['ontology']}", f"{where}: ontology")
+    read = read_networkx(made, where)
     return read._replace(attributes=[_read(of_node) for of_node in read.attributes])
 
 
@@ -116,7 +144,8 @@ def _check(root: ElementTree.Element, where: str) -> None:
     for tag, element in elements:
         here = f"{where}: {tag} {element.get('id')!r:.40}"
         data = [(keys.get(one.get("key"), one), one.text or "") for one in element.iterfind(DATA)]
-        _check_once([key.get("attr.name") for key, _ in data], f"{here} has")
+        named = [name for key, _ in data if (name := key.get("attr.name")) is not None]
+        _check_once(named, f"{here} has")
         for key, text in data:
             if key.get("attr.type") in NUMERIC and ("_" in text or not text.isascii()):
                 raise ValueError(f"{here} has {text!r:.40}, expected a number")
@@ -183,13 +212,3 @@ def _value_of(value: Any) -> Any:
         return json.loads(value)
     except (ValueError, RecursionError):  # text of others that only begins like JSON
         return value
-
-
-def _gather(attributes: dict[str, Any], where: str) -> None:
-    """Puts vectors in the place of their scalars."""
-    for vector, scalars in VECTORS.items():
-        missing = [scalar for scalar in scalars if scalar not in attributes]
-        if 0 < len(missing) < len(scalars):
-            raise ValueError(f"{where} lacks {missing[0]!r}, expected {', '.join(scalars)}")
-        if not missing:
-            attributes[vector] = [attributes.pop(scalar) for scalar in scalars]

@@ -14,13 +14,13 @@ import numpy as np
 
 from sg3d_jax.io.attributes import (
     ID,
-    OWN,
     Attributes,
     Read,
     check_id,
     edge_confidence_of,
     further,
     node_ids,
+    own,
 )
 from sg3d_jax.io.files import vector
 from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
@@ -31,7 +31,7 @@ from sg3d_jax.scene.graph import (
     parts_first,
     undirected_edges,
 )
-from sg3d_jax.scene.ontology import FEATURES, PROXIMITY, Ontology
+from sg3d_jax.scene.ontology import PROXIMITY, Ontology
 from sg3d_jax.scene.validate import validate_graph
 
 SURE: Final = "edge_confidence"
@@ -54,7 +54,8 @@ def graph_to_dict(
     Returns:
       The document; node ids are row numbers, unless attributes say otherwise.
     """
-    names, absent = ontology_of(graph).names, dict.fromkeys(FEATURES)
+    ontology = ontology_of(graph)
+    names, absent = ontology.names, dict.fromkeys(ontology.features)
     columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
     held: Attributes = [{}] * len(graph.nodes.label) if attributes is None else attributes
     ids = node_ids(held)
@@ -72,7 +73,7 @@ def graph_to_dict(
     optional = {"proximity_edges": proximity} if proximity else {}
     if edge_confidence is not None:
         optional |= {SURE: np.asarray(edge_confidence).tolist()}
-    return dict(**stated(ontology_of(graph)), nodes=nodes, edges=edges, **optional, **extra)
+    return dict(**stated(ontology), nodes=nodes, edges=edges, **optional, **extra)
 
 
 def graph_from_dict(document: Any, where: str = "graph") -> SceneGraph:
@@ -106,7 +107,7 @@ def read_dict(document: Any, where: str = "graph") -> Read:
     said = document.get(SURE)
     fits = isinstance(said, list) and len(said) == len(part_of)
     sure = edge_confidence_of(part_of, said) if fits else None
-    return Read(graph, [further(node, OWN) for node in nodes], sure)
+    return Read(graph, [further(node, own(ontology)) for node in nodes], sure)
 
 
 def _node(node: Any, ontology: Ontology, where: str) -> Record:
@@ -120,7 +121,7 @@ def _node(node: Any, ontology: Ontology, where: str) -> Record:
         raise ValueError(f"{where}.label is {node['label']!r:.40}, expected one of {names}")
     position = vector(node["position"], f"{where}.position")
     label = ontology.names.index(node["label"])
-    return Record(label, position, features_in(node, where))
+    return Record(label, position, features_in(node, where, ontology.concepts[label]))
 
 
 def _rows_by_id(nodes: list[dict[str, Any]], where: str) -> dict[int | str, int]:

@@ -3,7 +3,9 @@
 Nodes have `concept`, `pos` and, if planes, `normal` and `width`; edges have `kind`, "part_of" or
 "proximity"; the graph has `ontology` if its concepts are not the paper's. Read, too, are the
 attributes of the authors' graphs: `type`, `center`, `normal`, `length`, `limits`, and edges that do
-not say what they are. Numbers survive exactly, and so does the order of the nodes.
+not say what they are; directed graphs and multigraphs, if no edge is there twice; and what D3 and
+other programs make of our attributes (`gathered`). Numbers survive exactly, and so does the order
+of the nodes.
 
 What else a node has are its attributes (`io.attributes`), but for `label`, `position`, `normal` and
 `width`, which are names of ours in any format; its id is its key in the graph. An edge may have a
@@ -15,6 +17,7 @@ Source: the authors' graphs, as snt-arg/situational_graphs_datasets makes them.
 import math
 import reprlib
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -22,7 +25,6 @@ import numpy as np
 from sg3d_jax.io.attributes import (
     CONFIDENCE,
     ID,
-    OWN,
     Attributes,
     Read,
     check_attributes,
@@ -31,9 +33,18 @@ from sg3d_jax.io.attributes import (
     further,
     is_id,
     node_ids,
+    own,
 )
-from sg3d_jax.io.files import number
-from sg3d_jax.io.records import Record, features_by_row, graph_of, ontology_in, stated
+from sg3d_jax.io.files import number, parsed
+from sg3d_jax.io.records import (
+    KIND,
+    Record,
+    feature,
+    features_by_row,
+    graph_of,
+    ontology_in,
+    stated,
+)
 from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import (
     FEATURES,
@@ -41,6 +52,7 @@ from sg3d_jax.scene.ontology import (
     PART_OF,
     PROXIMITY,
     RELATIONS,
+    Concept,
     Ontology,
 )
 from sg3d_jax.scene.validate import validate_graph
@@ -54,10 +66,23 @@ WALL_SURFACE: Final = "ws"  # how the authors call what is observed
 LENGTH_TOLERANCE: Final = 1e-6  # metres
 
 
+# What has no place in formats of scalars alone, and what they have in its stead.
+VECTORS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {"pos": ("x", "y", "z")}
+    | {
+        name: tuple(f"{name}_{axis}" for axis in ("xyz" if shape == (3,) else range(*shape)))
+        for name, shape in FEATURES.items()
+        if shape
+    }
+)
+SCALARS: Final = ("width", "length")  # numbers that some programs write as texts
+
+
 class _Kind(NamedTuple):
     """What a reader has to know of a concept."""
 
     label: int
+    concept: Concept
     owned: tuple[str, ...]  # features
     foreign: dict[str, list[str]]  # features that others have, and the layers of these
 
@@ -83,7 +108,7 @@ def to_networkx(
     import networkx
 
     held: Attributes = [{}] * len(graph.nodes.label) if attributes is None else attributes
-    check_attributes(held, "attributes", names=NAMES)
+    check_attributes(held, ontology_of(graph), "attributes", names=NAMES)
     if edge_confidence is not None:
         check_edge_confidence(edge_confidence, graph, "graph")
     made = networkx.Graph(**stated(ontology_of(graph)))
@@ -108,8 +133,6 @@ def read_networkx(graph: "networkx.Graph", where: str = "graph") -> Read:
     Raises:
       ValueError: one sentence that names the node or edge, the field and what was expected.
     """
-    if graph.is_multigraph():
-        raise ValueError(f"{where}: the graph is a multigraph, expected one edge a pair of nodes")
     ontology = ontology_in(graph.graph, where)
     return read_nodes_and_edges(graph.nodes(data=True), graph.edges(data=True), where, ontology)
 
@@ -151,8 +174,9 @@ def read_node_link(document: Any, where: str = "graph") -> Read:
     """Returns the host graph of a node-link document, and what else it says of nodes and edges.
 
     Args:
-      document: parsed JSON, not yet trusted; edges are under `edges` or, as networkx once did it,
-        `links`. Keys of the document and of edges that it does not know are ignored.
+      document: parsed JSON, not yet trusted; edges are under `edges` or, as D3 has it and networkx
+        once had, `links`. A node without an id has its place in the list. Keys of the document and
+        of edges that it does not know are ignored.
       where: what an error starts with, such as "graphs.jsonl: line 3".
 
     Raises:
@@ -160,20 +184,25 @@ def read_node_link(document: Any, where: str = "graph") -> Read:
     """
     if not isinstance(document, dict):
         raise ValueError(f"{where}: there is {_text(document)}, expected an object")
-    if document.get("multigraph"):
-        raise ValueError(f"{where}: multigraph is true, expected one edge a pair of nodes")
     if document.get("edges") is not None and document.get("links"):
         raise ValueError(f"{where}: there are both edges and links, expected either")
     links = "links" if "edges" not in document and "links" in document else "edges"
-    nodes = _objects(document, "nodes", (ID,), where)
-    edges = _objects(document, links, ("source", "target"), where)
+    # D3 does without ids and does not say of what kind a graph is; networkx always does.
+    nodes = objects(document, "nodes", (ID,) if "multigraph" in document else (), where)
+    edges = objects(document, links, ("source", "target"), where)
     about = document.get("graph")
     return read_nodes_and_edges(
-        ((node[ID], node) for node in nodes),
-        ((edge["source"], edge["target"], edge) for edge in edges),
+        ((node.get(ID, row), node) for row, node in enumerate(nodes)),
+        ((_name_of(edge["source"]), _name_of(edge["target"]), edge) for edge in edges),
         where,
         ontology_in(about if isinstance(about, dict) else {}, where),
     )
+
+
+def _name_of(end: Any) -> Any:
+    """Returns the id of an end of an edge, in whose place D3 puts the node."""
+    names = [end[key] for key in (ID, "index") if key in end] if isinstance(end, dict) else [end]
+    return names[0] if names else end
 
 
 def read_nodes_and_edges(
@@ -185,9 +214,11 @@ def read_nodes_and_edges(
     """Returns the host graph of nodes and edges with attributes, ours or the authors', and these.
 
     Args:
-      nodes: id and attributes of each node, in the order that the rows are to have.
-      edges: ids of both ends and attributes of each edge, each pair once. An edge without `kind`
-        is told by its ends: what is observed is near each other, a part is part of its whole.
+      nodes: id and attributes of each node, in the order that the rows are to have; see `gathered`
+        for other forms of them.
+      edges: ids of both ends and attributes of each edge, each pair once, or once in each direction
+        with the same meaning. An edge without `kind` is told by its ends: what is observed is near
+        each other, a part is part of its whole.
       where: what an error starts with.
       ontology: the concepts.
 
@@ -203,20 +234,75 @@ def read_nodes_and_edges(
             raise ValueError(f"{where}: a node has id {_text(name)}, expected a number or a name")
         if row_of_id.setdefault(name, len(rows)) != len(rows):
             raise ValueError(f"{where}: node {_text(name)} is there twice, expected unique ids")
-        rows.append(_row(attributes, kinds, f"{where}: node {_plain(name)!r:.40}"))
-        held.append(_further(name, attributes))
+        here = f"{where}: node {_plain(name)!r:.40}"
+        said = gathered(attributes, here)
+        rows.append(_row(said, kinds, here))
+        held.append(_further(name, said, ontology))
     pairs: tuple[list[list[int]], ...] = tuple([] for _ in RELATIONS)
     sure: tuple[list[Any], ...] = tuple([] for _ in RELATIONS)
+    directions: dict[tuple[int, int], int] = {}
     for source, target, attributes in edges:
         ends = [_end(row_of_id, end, where) for end in (source, target)]
         edge = f"{where}: edge ({_plain(source)!r:.40}, {_plain(target)!r:.40})"
         labels = [rows[end].label for end in ends]
         relation = _relation(attributes, labels, ontology, edge)
+        one, other = ends
+        again = directions.setdefault((one, other), relation) != relation
+        if directions.get((other, one)) == relation and one != other and not again:
+            continue  # the other direction of an edge that is known
         pairs[relation].append(ends)
         sure[relation].append(_plain(attributes.get(CONFIDENCE)))
     graph = graph_of(rows, ontology, pairs[PART_OF], pairs[PROXIMITY])
     validate_graph(graph, where, rules=False)
     return Read(graph, held, edge_confidence_of(pairs[PART_OF], sure[PART_OF]))
+
+
+def gathered(attributes: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Returns attributes of a node in our form, if they are in one of other programs.
+
+    Formats without lists have `x`, `y`, `z` for `pos`, `normal_x` and so on for `normal`, or a list
+    as text; some have numbers as texts; igraph gives every node every attribute, empty or NaN. Our
+    own JSON calls `label` and `position` what is `concept` and `pos` here.
+
+    Args:
+      attributes: not yet trusted.
+      where: what an error starts with.
+
+    Raises:
+      ValueError: one part of a vector is missing.
+    """
+    made = dict(attributes)
+    if not {"concept", "type"} & made.keys() and {"label", "position"} <= made.keys():
+        made["concept"], made["pos"] = made.pop("label"), made.pop("position")
+    for vector, scalars in VECTORS.items():
+        value = made.get(vector)
+        if isinstance(value, str) and value.startswith("["):
+            made[vector] = parsed(value, f"{where}: {vector}")
+        if value is not None or "concept" not in made:  # of the authors' x is something else
+            continue
+        missing = [scalar for scalar in scalars if _is_nothing(made.get(scalar))]
+        if 0 < len(missing) < len(scalars):
+            raise ValueError(f"{where} lacks {missing[0]!r}, expected {', '.join(scalars)}")
+        given = [_number_in(made.pop(scalar, None)) for scalar in scalars]
+        if not missing:
+            made[vector] = given
+    for name in SCALARS:
+        if name in made:
+            made[name] = None if _is_nothing(made[name]) else _number_in(made[name])
+    return made
+
+
+def _is_nothing(value: Any) -> bool:
+    return value is None or value == "" or (isinstance(value, float) and math.isnan(value))
+
+
+def _number_in(value: Any) -> Any:
+    """Returns the number that a text is, and anything else as it is."""
+    try:
+        plain = isinstance(value, str) and value.isascii() and "_" not in value
+        return float(value) if plain else value
+    except ValueError:
+        return value
 
 
 def _kinds(ontology: Ontology) -> dict[str, _Kind]:
@@ -226,10 +312,10 @@ def _kinds(ontology: Ontology) -> dict[str, _Kind]:
         owned = tuple(name for name in FEATURES if name in concept.features)
         foreign = {
             name: [each.layer.lower() for each in ontology.concepts if name in each.features]
-            for name in FEATURES
+            for name in ontology.features
             if name not in owned
         }
-        kinds[concept.name] = _Kind(label, owned, foreign)
+        kinds[concept.name] = _Kind(label, concept, owned, foreign)
     observed = ontology.names[int(ontology.is_observed.argmax())]
     return {WALL_SURFACE: kinds[observed]} | kinds
 
@@ -264,27 +350,29 @@ def _edges(
     ]
 
 
-def _further(name: Any, attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _further(name: Any, attributes: Mapping[str, Any], ontology: Ontology) -> dict[str, Any]:
     """Returns the id of a node, if it can be one of a document, and what we do not know of it."""
     known = NAMES if "concept" in attributes else AUTHORS_NAMES
-    others = further(attributes, (ID, *known, *OWN)).items()
+    others = further(attributes, (ID, *known, *own(ontology))).items()
     name = _plain(name)
     return ({ID: name} if is_id(name) else {}) | {key: _plain(value) for key, value in others}
 
 
-def _objects(
+def objects(
     document: dict[str, Any], key: str, fields: tuple[str, ...], where: str
 ) -> list[dict[str, Any]]:
-    """Returns a list of objects that all have some fields."""
+    """Returns a list of objects of a document that all have some fields, or refuses.
+
+    Raises:
+      ValueError: one sentence.
+    """
     items = document.get(key)
     if not isinstance(items, list):
         raise ValueError(f"{where}: there is no list {key!r}, expected nodes and edges")
     for index, item in enumerate(items):
         if not isinstance(item, dict) or not set(fields) <= set(item):
-            expected = " and ".join(fields)
-            raise ValueError(
-                f"{where}: {key}[{index}] is {_text(item)}, expected an object with {expected}"
-            )
+            expected = f"an object with {' and '.join(fields)}" if fields else "an object"
+            raise ValueError(f"{where}: {key}[{index}] is {_text(item)}, expected {expected}")
     return items
 
 
@@ -307,6 +395,8 @@ def _row(attributes: Mapping[str, Any], kinds: Mapping[str, _Kind], where: str) 
     features = {
         name: _width(attributes, where)
         if name == "width" and not ours
+        else feature(KIND, _plain(attributes.get(KIND)), f"{where}: {KIND}", kind.concept)
+        if name == KIND
         else _numbers(attributes, name, FEATURES[name], where)
         for name in kind.owned
     }

@@ -2,14 +2,16 @@
 
 JSON: `{"planes": [{"centroid": [x, y, z], "normal": [x, y, z], "width": w}, ...]}`. If the document
 has an `ontology`, there is such a list for every concept that is observed, under its layer's name
-in lower case, and what is in it has the features of the concept.
-CSV: a header `cx,cy,cz,nx,ny,nz,width`, in any order, then one plane a row. All in metres; normals
-point into the room. Numbers are kept as they are given: what can be mended is mended on the way
-into `complete`. Further keys and columns, such as `id`, are attributes (`io.attributes`).
+in lower case, and what is in it has the features of the concept. Things with a class may be listed
+under `objects` (`io.objects`).
+CSV: a header `cx,cy,cz,nx,ny,nz,width`, in any order, or other names if it is said which is which,
+then one plane a row; without `cz` or `nz`, these are 0. All in metres; normals point into the room.
+Numbers are kept as they are given: what can be mended is mended on the way into `complete`. Further
+keys and columns, such as `id`, are attributes (`io.attributes`).
 """
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,12 +19,23 @@ import numpy as np
 
 from sg3d_jax.io.attributes import ID, Read, further, value_in
 from sg3d_jax.io.files import read_text, vector, write_document
-from sg3d_jax.io.records import Record, feature, features_by_row, graph_of, ontology_in, stated
+from sg3d_jax.io.objects import THINGS, is_thing, things_in
+from sg3d_jax.io.records import (
+    KIND,
+    Record,
+    feature,
+    features_by_row,
+    graph_of,
+    ontology_in,
+    stated,
+)
 from sg3d_jax.scene.graph import Array, SceneGraph, make_graph, observed_of, ontology_of
 from sg3d_jax.scene.ontology import FEATURES, PAPER_ONTOLOGY, Concept, Ontology
 from sg3d_jax.scene.validate import check_observed
 
 COLUMNS: Final = ("cx", "cy", "cz", "nx", "ny", "nz", "width")
+FLAT: Final = ("cz", "nz")  # columns that a plan has no need of
+DELIMITERS: Final = ",;\t"
 
 
 def planes(
@@ -66,17 +79,21 @@ def _array(values: Array, where: str) -> np.ndarray:
         raise ValueError(f"{where} is no array of numbers, expected a row a plane") from error
 
 
-def read_csv(path: str | Path) -> Read:
+def read_csv(path: str | Path, columns: Mapping[str, str] | None = None) -> Read:
     """Returns the planes of a CSV file as a host graph without edges, and its further columns.
 
     A further column without a name is left out, and so are its empty cells; what reads like a
-    number is one.
+    number is one. Cells are parted by commas, semicolons or tabs, whichever the header has most of.
+
+    Args:
+      path: the file.
+      columns: what columns of the file are called here, such as {"x": "cx", "length": "width"}.
 
     Raises:
       ValueError: one sentence that names the file, the line or plane, and the field.
     """
     lines = _lines(path)
-    header = [cell.strip() for cell in lines[0][1]]
+    header = _renamed([cell.strip() for cell in lines[0][1]], columns or {}, f"{path}")
     for problem, names in _header_problems(header).items():
         if names:
             expected = ",".join(COLUMNS)
@@ -85,14 +102,31 @@ def read_csv(path: str | Path) -> Read:
         dict(zip(header, _cells(cells, len(header), f"{path}: line {line}"), strict=True))
         for line, cells in lines[1:]
     ]
+    flat = [name for name in FLAT if name not in header]
     rows = [
-        [_number(record[column], f"{path}: line {line}: {column}") for column in COLUMNS]
+        [
+            0.0 if column in flat else _number(record[column], f"{path}: line {line}: {column}")
+            for column in COLUMNS
+        ]
         for (line, _), record in zip(lines[1:], records, strict=True)
     ]
     table = np.array(rows, np.float64).reshape(-1, len(COLUMNS))
     graph = planes(table[:, :3], table[:, 3:6], table[:, 6])
     check_observed(graph, f"{path}")
-    return Read(graph, [_attributes(record) for record in records])
+    remarks = (f"has no column {' and '.join(flat)}, taken to be 0",) if flat else ()
+    return Read(graph, [_attributes(record) for record in records], remarks=remarks)
+
+
+def _renamed(header: list[str], columns: Mapping[str, str], where: str) -> list[str]:
+    """Returns a header with our names for its columns."""
+    for theirs, ours in columns.items():
+        if theirs not in header:
+            held = ",".join(header)
+            raise ValueError(f"{where}: there is no column {theirs!r:.40}, expected of {held:.200}")
+        if ours not in COLUMNS:
+            expected = f"expected one of {', '.join(COLUMNS)}"
+            raise ValueError(f"{where}: column {theirs!r:.40} is to be {ours!r:.40}, {expected}")
+    return [columns.get(name, name) for name in header]
 
 
 def planes_from_dict(document: Any, where: str) -> SceneGraph:
@@ -100,13 +134,14 @@ def planes_from_dict(document: Any, where: str) -> SceneGraph:
     return read_planes_dict(document, where).graph
 
 
-def read_planes_dict(document: Any, where: str) -> Read:
+def read_planes_dict(document: Any, where: str, ontology: Ontology = PAPER_ONTOLOGY) -> Read:
     """Returns the planes of `{"planes": [...]}` as a host graph without edges, and further keys.
 
     Args:
       document: parsed JSON, not yet trusted; with an `ontology`, a list for every concept that is
         observed.
       where: what an error starts with, such as "planes.jsonl: line 3".
+      ontology: the concepts of a document that states none, which needs the first list alone.
 
     Returns:
       The nodes of each concept in their order, by concept.
@@ -115,27 +150,34 @@ def read_planes_dict(document: Any, where: str) -> Read:
       ValueError: one sentence that names the plane, the field and what was expected.
     """
     about = document if isinstance(document, dict) else {}
-    ontology = ontology_in(about, where)
+    is_stated = "ontology" in about
+    ontology = ontology_in(about, where, ontology)
     lists = {
         concept.layer.lower(): (label, concept)
         for label, concept in enumerate(ontology.concepts)
         if concept.observed
     }
-    expected = ("ontology", *lists) if "ontology" in about else (*lists,)
-    _check_keys(document, expected, f"{where}: the scene", exactly=True)
-    records, attributes = [], []
-    for key, (label, concept) in lists.items():
+    expected = ("ontology", *lists) if is_stated else (*lists,)
+    optional = {THINGS} - {*lists} if is_stated else {THINGS, *expected[1:]}
+    _check_keys(document, expected, f"{where}: the scene", exactly=True, optional=optional)
+    for key in {*lists, THINGS} & document.keys():
         if not isinstance(document[key], list):
             raise ValueError(f"{where}: {key} is no list, expected a list of {key}")
-        records += [
-            _record(item, label, concept, f"{where}: {key}[{index}]")
-            for index, item in enumerate(document[key])
-        ]
+    found, remarks = list[tuple[Record, dict[str, Any]]](), list[str]()
+    if THINGS not in lists or is_thing(lists[THINGS][1]):
+        lists.pop(THINGS, None)
+        things = document.get(THINGS, [])
+        found, remarks = things_in(things, ontology, f"{where}: {THINGS}")
+    for key, (label, concept) in lists.items():
         known = ("centroid", *concept.features)
-        attributes += [further(item, known) for item in document[key]]
-    graph = graph_of(records, ontology)
+        found += [
+            (_record(item, label, concept, f"{where}: {key}[{index}]"), further(item, known))
+            for index, item in enumerate(document.get(key, []))
+        ]
+    found.sort(key=lambda one: one[0].label)  # stable, and a thing may be of any concept
+    graph = graph_of([record for record, _ in found], ontology)
     check_observed(graph, where)
-    return Read(graph, attributes)
+    return Read(graph, [others for _, others in found], remarks=tuple(remarks))
 
 
 def planes_to_dict(graph: SceneGraph) -> dict[str, Any]:
@@ -158,25 +200,33 @@ def _record(item: Any, label: int, concept: Concept, where: str) -> Record:
     names = [name for name in FEATURES if name in concept.features]
     _check_keys(item, ("centroid", *names), where)
     centroid = vector(item["centroid"], f"{where}.centroid")
-    features = {name: feature(name, item[name], f"{where}.{name}") for name in names}
+    features = {name: feature(name, item[name], f"{where}.{name}", concept) for name in names}
     return Record(label, centroid, features)
 
 
-def _check_keys(item: Any, expected: Sequence[str], where: str, exactly: bool = False) -> None:
+def _check_keys(
+    item: Any,
+    expected: Sequence[str],
+    where: str,
+    exactly: bool = False,
+    optional: Collection[str] = (),
+) -> None:
     names = ", ".join(expected)
     if not isinstance(item, dict):
         raise ValueError(f"{where} is {item!r:.40}, expected an object with {names}")
     known = f"exactly {names}" if exactly else names
-    if lacking := [key for key in expected if key not in item]:
+    if lacking := [key for key in expected if key not in item and key not in optional]:
         raise ValueError(f"{where} lacks {lacking[0]!r:.40}, expected {known}")
-    others = further(item, expected)
-    if odd := [key for key in others if exactly or key in FEATURES]:
+    others = further(item, (*expected, *optional))
+    if odd := [key for key in others if exactly or (key in FEATURES and key != KIND)]:
         raise ValueError(f"{where} has {min(odd)!r:.40}, expected {known}")
 
 
 def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
     """Returns the lines of a CSV file that are not empty, at least one, with their numbers."""
-    reader = csv.reader(read_text(path).split("\n"), strict=True)
+    text = read_text(path).split("\n")
+    first = next(filter(str.strip, text), "")
+    reader = csv.reader(text, strict=True, delimiter=max(DELIMITERS, key=first.count))
     try:
         lines = [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
     except csv.Error as error:
@@ -188,7 +238,7 @@ def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
 
 def _header_problems(header: list[str]) -> dict[str, list[str]]:
     return {
-        "missing": [name for name in COLUMNS if name not in header],
+        "missing": [name for name in COLUMNS if name not in header and name not in FLAT],
         "repeated": [name for name in header if name and header.count(name) > 1],
     }
 

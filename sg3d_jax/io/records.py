@@ -11,8 +11,15 @@ import numpy as np
 
 from sg3d_jax.io.files import number, vector
 from sg3d_jax.scene.graph import SceneGraph, features_of, make_graph, ontology_of
-from sg3d_jax.scene.ontology import FEATURES, PAPER_ONTOLOGY, Ontology, ontology_from_dict
+from sg3d_jax.scene.ontology import (
+    FEATURES,
+    PAPER_ONTOLOGY,
+    Concept,
+    Ontology,
+    ontology_from_dict,
+)
 
+KIND: Final = "kind"  # the feature that documents hold as a word
 _ZERO: Final = {name: np.zeros(shape).tolist() for name, shape in FEATURES.items()}
 
 
@@ -25,38 +32,58 @@ class Record(NamedTuple):
 
 
 def features_by_row(graph: SceneGraph) -> list[dict[str, Any]]:
-    """Returns the features that each node of a host graph has by its concept, as JSON values."""
+    """Returns the features that each node of a host graph has by its concept, as JSON values.
+
+    A kind is its name, or null.
+    """
     columns = {name: np.asarray(array).tolist() for name, array in features_of(graph).items()}
-    owned = [
-        [name for name in FEATURES if name in concept.features]
-        for concept in ontology_of(graph).concepts
-    ]
-    return [
-        {name: columns[name][row] for name in owned[label]}
-        for row, label in enumerate(np.asarray(graph.nodes.label).tolist())
-    ]
+    concepts = ontology_of(graph).concepts
+    owned = [[name for name in FEATURES if name in concept.features] for concept in concepts]
+    label = np.asarray(graph.nodes.label).tolist()
+    columns[KIND] = [kind_name(concepts[of], columns[KIND][row]) for row, of in enumerate(label)]
+    return [{name: columns[name][row] for name in owned[of]} for row, of in enumerate(label)]
 
 
-def feature(name: str, value: Any, where: str) -> float | list[float]:
+def kind_name(concept: Concept, kind: float) -> str | None:
+    """Returns the name of a kind of a concept, None if it is unknown."""
+    return concept.kinds[int(kind) - 1] if kind else None
+
+
+def feature(name: str, value: Any, where: str, concept: Concept) -> float | list[float]:
     """Returns a feature of a parsed document.
 
+    Args:
+      name: of the feature.
+      value: not yet trusted.
+      where: what an error starts with.
+      concept: of the node.
+
     Raises:
-      ValueError: it is not as many numbers as `FEATURES` says.
+      ValueError: it is not as many numbers as `FEATURES` says, or no kind of the concept.
     """
     shape = FEATURES[name]
+    if name == KIND:
+        if value is not None and value not in concept.kinds:
+            known = ", ".join(concept.kinds)
+            raise ValueError(f"{where} is {value!r:.40}, expected null or one of {known}")
+        return 0.0 if value is None else 1.0 + concept.kinds.index(value)
     return vector(value, where, *shape) if shape else number(value, where)
 
 
-def features_in(values: Mapping[str, Any], where: str) -> dict[str, float | list[float]]:
+def features_in(
+    values: Mapping[str, Any], where: str, concept: Concept
+) -> dict[str, float | list[float]]:
     """Returns the features that an object of a parsed document has; null is none.
 
+    Where a concept has no kinds, `kind` is a word like any other.
+
     Raises:
-      ValueError: one of them is not as many numbers as `FEATURES` says.
+      ValueError: one of them is not what `feature` expects.
     """
     features = {}
-    for name in _ZERO:
+    for name in (name for name in FEATURES if name != KIND or concept.kinds):
         if (value := values.get(name)) is not None:
-            features[name] = feature(name, value, f"{where}.{name}")
+            features[name] = feature(name, value, f"{where}.{name}", concept)
     return features
 
 
@@ -93,14 +120,45 @@ def stated(ontology: Ontology) -> dict[str, Any]:
     return {} if ontology == PAPER_ONTOLOGY else {"ontology": ontology.to_dict()}
 
 
-def ontology_in(document: Mapping[str, Any], where: str) -> Ontology:
-    """Returns the ontology that a parsed document states; of one that states none, the paper's.
+def ontology_in(
+    document: Mapping[str, Any], where: str, default: Ontology = PAPER_ONTOLOGY
+) -> Ontology:
+    """Returns the ontology that a parsed document states, if it states one.
 
     Args:
       document: what `stated` is part of, not yet trusted.
       where: what an error starts with.
+      default: of one that states none.
 
     Raises:
       ValueError: one sentence that says what is wrong with it.
     """
-    return ontology_from_dict(document.get("ontology"), where)
+    said = document.get("ontology")
+    return default if said is None else ontology_from_dict(said, where)
+
+
+def in_terms_of(graph: SceneGraph, ontology: Ontology) -> SceneGraph:
+    """Returns a host graph of the paper's concepts as one of others that have the same names.
+
+    Any other graph is returned as it is, and so is one with a concept that is not among them, or
+    has other features there than a kind.
+
+    Args:
+      graph: unpadded.
+      ontology: the concepts.
+    """
+    own, label = ontology_of(graph), np.asarray(graph.nodes.label)
+    places = np.zeros(own.num_concepts, np.int32)
+    for place in np.unique(label).tolist():
+        concept = own.concepts[place]
+        same = [o for o in ontology.concepts if o.name == concept.name and _alike(concept, o)]
+        if own != PAPER_ONTOLOGY or not same:
+            return graph
+        places[place] = ontology.concepts.index(same[0])
+    return graph._replace(nodes=graph.nodes._replace(label=places[label]), globals=ontology)
+
+
+def _alike(concept: Concept, other: Concept) -> bool:
+    """Returns whether nodes of a concept are nodes of another one."""
+    same = {*concept.features} == {*other.features} - {KIND}
+    return same and concept.observed == other.observed

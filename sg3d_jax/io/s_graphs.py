@@ -15,13 +15,14 @@ backend/plane_mapper.cpp, visualization/graph_publisher.cpp); snt-arg/situationa
 RoomData.msg and FloorData.msg; snt-arg/situational_graphs_reasoning, graph_reasoning_node.py.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.io.attributes import ID, Read
+from sg3d_jax.io.attributes import ID, Attributes, Read, is_id, node_ids
 from sg3d_jax.io.files import field, number
 from sg3d_jax.io.planes import planes
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first
@@ -42,6 +43,7 @@ class _Part(NamedTuple):
     label: int
     position: list[float]
     planes: list[int]  # rows
+    name: int | str | None = None  # its id, if it has one
 
 
 def planes_from_message(message: Any, where: str = "message") -> SceneGraph:
@@ -79,7 +81,12 @@ def planes_to_message(graph: SceneGraph) -> dict[str, Any]:
 
 
 def graph_from_messages(messages: Any, where: str = "messages") -> SceneGraph:
-    """Returns the host graph of the messages of one map.
+    """Returns the host graph of the messages of one map, as `read_messages` without attributes."""
+    return read_messages(messages, where).graph
+
+
+def read_messages(messages: Any, where: str = "messages") -> Read:
+    """Returns the host graph of the messages of one map, and the ids of its nodes.
 
     A message does not say which rooms are on a floor; S-Graphs gives rooms the height of theirs,
     so a room belongs to the floor that is nearest in height.
@@ -91,6 +98,7 @@ def graph_from_messages(messages: Any, where: str = "messages") -> SceneGraph:
 
     Returns:
       Planes in the order of their ids, then walls, rooms and floors in the order of the messages.
+      A wall, a room or a floor has no id if another node has the same.
 
     Raises:
       ValueError: one sentence that names the message, the field and what was expected.
@@ -99,10 +107,17 @@ def graph_from_messages(messages: Any, where: str = "messages") -> SceneGraph:
     walls = _parts(messages, "walls", "wall_center", row_of_id, where)
     rooms = _parts(messages, "rooms", "room_center", row_of_id, where)
     floors = _floors(messages.get("floors") or [], f"{where}: floors")
-    return _assembled(planes, [*walls, *rooms], floors, where)
+    graph = _assembled(planes, [*walls, *rooms], floors, where)
+    names = [*row_of_id, *(part.name for part in (*walls, *rooms, *floors))]
+    seen = Counter(names)
+    attributes = [
+        {ID: name} if row < len(row_of_id) or (name is not None and seen[name] == 1) else {}
+        for row, name in enumerate(names)
+    ]
+    return Read(graph, attributes)
 
 
-def graph_to_messages(graph: SceneGraph) -> dict[str, Any]:
+def graph_to_messages(graph: SceneGraph, attributes: Attributes | None = None) -> dict[str, Any]:
     """Returns a host graph as messages of one map, for `graph_from_messages` or S-Graphs.
 
     S-Graphs takes rooms of two x_planes and two y_planes, or of two of one axis only, and walls of
@@ -111,6 +126,8 @@ def graph_to_messages(graph: SceneGraph) -> dict[str, Any]:
 
     Args:
       graph: unpadded, metres.
+      attributes: of each node; an `id` that is an integer is its id, as that of a plane that came
+        from S-Graphs. Nothing else has a place in a message.
 
     Returns:
       "planes", a PlanesData; "walls", a WallsData; "rooms", a RoomsData; "floors", of FloorData.
@@ -119,16 +136,29 @@ def graph_to_messages(graph: SceneGraph) -> dict[str, Any]:
 
     def records(concept: int) -> list[tuple[int, dict[str, Any], list[dict[str, Any]]]]:
         rows = _rows(graph, concept)
-        points = [_xyz(graph.nodes.position[row]) for row in rows]
+        points = [xyz(graph.nodes.position[row]) for row in rows]
         parts = [[planes[child] for child in children.get(row, [])] for row in rows]
         return list(zip(rows, points, parts, strict=True))
 
-    return {
+    made = {
         "planes": planes_to_message(graph),
         "walls": {"header": HEADER, "walls": [_wall_record(*each) for each in records(WALL)]},
         "rooms": {"header": HEADER, "rooms": [_room_record(*each) for each in records(ROOM)]},
         "floors": [_floor_record(row, point) for row, point, _ in records(FLOOR)],
     }
+    if attributes is None:
+        return made
+    given = [held.get(ID) for held in attributes]
+    return _with_ids(made, node_ids([{ID: n} if type(n) is int else {} for n in given]))
+
+
+def _with_ids(value: Any, ids: Sequence[int | str]) -> Any:
+    """Returns messages, or a part of them, with ids in place of rows of a graph."""
+    if isinstance(value, list):
+        return [_with_ids(each, ids) for each in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: ids[part] if key == ID else _with_ids(part, ids) for key, part in value.items()}
 
 
 def graph_from_reasoning(message: Any, planes: Any, where: str = "message") -> SceneGraph:
@@ -221,14 +251,30 @@ def _plane(record: dict[str, Any], where: str) -> np.ndarray | None:
         return None
     inside = f"{where}.plane_points"
     cloud = np.array([_point(point, f"{inside}[{i}]") for i, point in enumerate(points)])
-    along = _along(normal)
-    with np.errstate(over="ignore", invalid="ignore"):  # validated as centroid and width
-        reach, mean = cloud @ along, cloud.mean(axis=0)
-        centroid = mean + along * ((reach.min() + reach.max()) / 2 - mean @ along)
-        width = np.ptp(reach)
+    centroid, _, width = middle_and_width(cloud, normal)
     if width == 0:
         raise ValueError(f"{inside} is no longer than a point, expected points along a wall")
     return np.array([*centroid, *normal, width])
+
+
+def middle_and_width(
+    cloud: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.floating[Any]]:
+    """Returns the middle of a plane's points, in which direction it runs, and how far.
+
+    Args:
+      cloud: float[n, 3], at least one point, metres.
+      normal: float[3].
+
+    Returns:
+      float[3], the mean of the points, but along the plane the middle of their extent; float[3],
+      unit, horizontal; and their extent, metres.
+    """
+    along = _along(normal)
+    with np.errstate(over="ignore", invalid="ignore"):  # validated as centroid and width
+        reach, mean = cloud @ along, cloud.mean(axis=0)
+        middle = mean + along * ((reach.min() + reach.max()) / 2 - mean @ along)
+        return middle, along, np.ptp(reach)
 
 
 def _along(normal: np.ndarray) -> np.ndarray:
@@ -254,7 +300,8 @@ def _parts(
                 inside = f"{here}.{lists}[{place}]"
                 name = _id(plane, "id", inside)
                 rows[_known(name, row_of_id, f"{inside}.id", "a plane with points")] = None
-        parts.append(_Part(label, _point(pose, f"{here}.{centre}.position"), list(rows)))
+        point = _point(pose, f"{here}.{centre}.position")
+        parts.append(_Part(label, point, list(rows), _name(record)))
     return parts
 
 
@@ -266,7 +313,8 @@ def _floors(records: Any, where: str) -> list[_Part]:
         here = f"{where}[{index}]"
         centre = field(field(record, "floor_center", here), "position", f"{here}.floor_center")
         if record.get("state") != ON_STAIRS:
-            floors.append(_Part(FLOOR, _point(centre, f"{here}.floor_center.position"), []))
+            point = _point(centre, f"{here}.floor_center.position")
+            floors.append(_Part(FLOOR, point, [], _name(record)))
     heights = sorted(floor.position[2] for floor in floors)
     if any(above - below < MIN_STOREY for below, above in pairwise(heights)):
         raise ValueError(
@@ -326,6 +374,10 @@ def _list(record: Any, key: str, where: str) -> list[Any]:
     return value
 
 
+def _name(record: dict[str, Any]) -> int | str | None:
+    return record[ID] if is_id(record.get(ID)) else None
+
+
 def _id(record: Any, key: str, where: str) -> int:
     value = field(record, key, where)
     if isinstance(value, bool) or not isinstance(value, int):
@@ -372,8 +424,8 @@ def _plane_records(graph: SceneGraph) -> dict[int, dict[str, Any]]:
             "ny": ny,
             "nz": nz,
             "d": -float(normal[row] @ position[row]),
-            "plane_orientation": _xyz(normal[row]),
-            "plane_points": [_xyz(position[row] + end) for end in (-half, half)],
+            "plane_orientation": xyz(normal[row]),
+            "plane_points": [xyz(position[row] + end) for end in (-half, half)],
         }
     return records
 
@@ -428,5 +480,6 @@ def _pose(point: dict[str, float]) -> dict[str, Any]:
     return {"position": point, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
 
 
-def _xyz(values: np.ndarray) -> dict[str, float]:
+def xyz(values: np.ndarray) -> dict[str, float]:
+    """Returns a point of a message."""
     return dict(zip("xyz", values.tolist(), strict=True))

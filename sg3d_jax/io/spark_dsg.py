@@ -1,22 +1,25 @@
 """Scene graphs as Spark-DSG JSON, the format of Hydra; no package of theirs is needed.
 
-A concept is a layer: PLANES 2, WALLS 3, ROOMS 4, FLOORS 5, BUILDINGS 6, CITIES 7. Spark-DSG takes
-the higher layer for the parent, so floors need a number between ROOMS and BUILDINGS and the latter
-are not 5 as in Hydra: look layers up by name. A node's id is its symbol, a letter and a row number
-(`p0`, `w4`, `R5`, `F6`, `B7`, `C8`), from which the order of the nodes is restored. What Spark-DSG
-has no field for is metadata: `normal` and `width` of a plane, `relation` of an edge, and of the
-document its `ontology`, if its concepts are not the paper's. Numbers survive exactly, also if their
-library saves the file again. Further metadata of a node are its attributes (`io.attributes`), its
-`id` among them; where symbols are not numbered as rows are, they are the ids of nodes that have
-none. An edge may have a `confidence`.
+A concept is a layer. Spark-DSG takes the layer with the higher number for the parent, and two
+partitions of one layer for siblings: PLANES are partition "p" of layer 2 and WALLS partition "w" of
+it, so that the parent of a plane is its room, and walls, doors and objects stand beside it; ROOMS
+4, FLOORS 5, BUILDINGS 6, CITIES 7. So every node but a door has one parent at most, and layers 2
+and 3 themselves are left to Hydra's objects and places. Its buildings are 5, but floors need a
+number between them and rooms: look layers up by name, as `get_layer("BUILDINGS")`.
+
+A node's id is its symbol, a letter and a row number (`p0`, `w4`, `R5`, `F6`, `B7`, `C8`), from
+which the order of the nodes is restored; its name is its attribute `name`, if it has one. What
+Spark-DSG has no field for is metadata: `normal` and `width` of a plane, `relation` of an edge, and
+of the document its `ontology`, if its concepts are not the paper's. Numbers survive exactly, also
+if their library saves the file again. Further metadata of a node are its attributes
+(`io.attributes`), its `id` among them; where symbols are not numbered as rows are, they are the ids
+of nodes that have none. An edge may have a `confidence`.
 
 Source: MIT-SPARK/Spark-DSG 1.1.3, src/serialization/graph_json_serialization.cpp.
-Differs: a plane with a wall and a room has two parents, which Spark-DSG stores but its
-`get_parent()` does not return; `walls="metadata"` keeps the walls of a plane in its metadata
-instead, and their confidence under `walls_confidence`, so that every node has at most one parent.
 """
 
 import functools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import compress
 from typing import Any, Final, Literal, NamedTuple
@@ -26,14 +29,27 @@ import numpy as np
 from sg3d_jax.io.attributes import (
     CONFIDENCE,
     ID,
-    OWN,
+    NAME,
     Attributes,
     Read,
     edge_confidence_of,
     further,
+    own,
 )
 from sg3d_jax.io.files import field, vector
+from sg3d_jax.io.objects import Thing, label_names, remarks_on, thing_seen
 from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
+from sg3d_jax.io.spark_dsg_document import (
+    HEADER,
+    SYMBOL_BITS,
+    Key,
+    ends_of,
+    integer,
+    known_key,
+    layers_of,
+    modern,
+    remark_on_others,
+)
 from sg3d_jax.scene.graph import (
     Array,
     SceneGraph,
@@ -41,17 +57,22 @@ from sg3d_jax.scene.graph import (
     subgraph,
     undirected_edges,
 )
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, RELATIONS, Concept, Ontology
+from sg3d_jax.scene.ontology import (
+    PAPER_ONTOLOGY,
+    PART_OF,
+    PROXIMITY,
+    RELATIONS,
+    Concept,
+    Ontology,
+)
 from sg3d_jax.scene.validate import validate_graph
 
-HEADER: Final = "SPARK_DSG_header"
 VERSION: Final = {"major": 1, "minor": 1, "patch": 3}
-FIRST_LAYER: Final = 2  # 0 is unused in Hydra, 1 is the mesh
+FIRST_LAYER: Final = 2  # 0 is unused in Hydra, 1 is its mesh
 LAYER_OF_ROOMS: Final = "ROOMS"  # has a class of nodes of its own, as in Hydra
 NO_SEMANTIC_LABEL: Final = 2**32 - 1
 NO_ROTATION: Final = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
 NO_BOX: Final = np.zeros(3)
-SYMBOL_BITS: Final = 56  # of the number in a symbol; its letter is above
 ATTRIBUTES: Final = (
     "SemanticNodeAttributes",
     "RoomNodeAttributes",
@@ -72,6 +93,7 @@ class _Node(NamedTuple):
     record: Record
     wholes: dict[int, list[int]]  # ids that its metadata names, by label
     metadata: dict[str, Any]
+    thing: Thing | None = None  # what it is taken for, if it is an object of Hydra's
 
 
 class _Edge(NamedTuple):
@@ -110,7 +132,7 @@ def graph_to_spark_dsg(
         raise ValueError(f"walls is {walls!r:.40}, expected 'edges' or 'metadata'")
     ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
     layers = [concept.layer for concept in ontology.concepts]
-    keys = {name: {"layer": FIRST_LAYER + i, "partition": 0} for i, name in enumerate(layers)}
+    keys = dict(zip(layers, _layer_keys(ontology), strict=True))
     ids = [_symbol(ontology.concepts[kind], row) for row, kind in enumerate(label.tolist())]
     part_of, proximity = _wholes_first(graph), undirected_edges(graph, PROXIMITY)
     hidden = np.zeros(len(part_of), bool)
@@ -153,36 +175,51 @@ def graph_from_spark_dsg(document: Any, where: str = "graph") -> SceneGraph:
     return read_spark_dsg(document, where).graph
 
 
-def read_spark_dsg(document: Any, where: str = "graph") -> Read:
+def read_spark_dsg(
+    document: Any, where: str = "graph", ontology: Ontology = PAPER_ONTOLOGY
+) -> Read:
     """Returns the host graph of a Spark-DSG document, and further metadata of its nodes and edges.
 
-    Layers go by their names, so that rooms and buildings of Hydra are read too. An edge that does
-    not tell its relation is part-of between layers, and proximity within one.
+    Layers go by their names, so that rooms and buildings of Hydra are read too, and its objects
+    (`io.objects`) where they are a concept. An edge that does not tell its relation is part-of
+    between layers, and proximity within one and between what is observed.
 
     Args:
       document: parsed JSON, not yet trusted.
       where: what an error starts with, such as "dsg.json".
+      ontology: the concepts of a document that states none.
 
     Returns:
-      Nodes in the order of their symbols' numbers; if those repeat, by concept first.
+      Nodes in the order of their symbols' numbers; if those repeat, by concept first. Layers that
+      are no concepts of ours, such as PLACES, are left out, and a remark counts their nodes.
 
     Raises:
-      ValueError: one sentence that names the node or edge, the field and what was expected. A node
-        of a layer that is no concept of ours, such as OBJECTS, is refused.
+      ValueError: one sentence that names the node or edge, the field and what was expected.
     """
-    _check_document(document, where)
+    document = modern(document, where)
     about = document.get("metadata")
-    ontology = ontology_in(about if isinstance(about, dict) else {}, where)
-    labels = {concept.layer: label for label, concept in enumerate(ontology.concepts)}
-    layers, kept = _layers(document, labels, where), _kept_wholes(ontology)
-    nodes = [
-        _node(node, layers, labels, kept, f"{where}: nodes[{index}]")
-        for index, node in enumerate(document["nodes"])
-    ]
+    ontology = ontology_in(about if isinstance(about, dict) else {}, where, ontology)
+    labels, kept = _labels(ontology), _kept_wholes(ontology)
+    layers = layers_of(document, labels, where)
+    called = {key: label_names(about, *key) for key in layers}
+    nodes, others, skipped = list[_Node](), Counter[Key](), set[int]()
+    for index, record in enumerate(document["nodes"]):
+        here = f"{where}: nodes[{index}]"
+        key = known_key(record, layers, labels, here)
+        if (label := labels.get(f"{layers[key]}")) is not None:
+            nodes.append(_node(record, label, ontology, kept, called[key], here))
+        else:
+            others[key] += 1
+            skipped.add(integer(record, "id", here))
+    remarks = [remark_on_others(layers, others, "mesh" in document)] if others else []
+    remarks += remarks_on([node.thing for node in nodes if node.thing], ontology)
+    if others and not nodes:
+        raise ValueError(f"{where}: {remarks[0]}, expected nodes of {', '.join(labels)}")
     row_of_id = _rows_by_id(nodes, where)
     edges = [
-        _edge(edge, nodes, row_of_id, f"{where}: edges[{index}]")
+        _edge(edge, nodes, row_of_id, ontology.is_observed, f"{where}: edges[{index}]")
         for index, edge in enumerate(document["edges"])
+        if not (skipped and ends_of(edge, f"{where}: edges[{index}]") & skipped)
     ]
     edges += _hidden_edges(nodes, row_of_id, ontology, where)
     part_of = [edge for edge in edges if edge.relation == PART_OF]
@@ -193,14 +230,15 @@ def read_spark_dsg(document: Any, where: str = "graph") -> Read:
     order = _order(nodes)
     rows = np.argsort(order)[np.array(pairs, int)].tolist()
     sure = edge_confidence_of(rows, [edge.confidence for edge in part_of])
-    held = _attributes_of([nodes[row] for row in order], ontology)
-    return Read(subgraph(graph, order), held, sure)
+    held = _attributes_of([nodes[row] for row in order], ontology, bool(others))
+    return Read(subgraph(graph, order), held, sure, tuple(remarks))
 
 
-def _attributes_of(nodes: Sequence[_Node], ontology: Ontology) -> Attributes:
+def _attributes_of(nodes: Sequence[_Node], ontology: Ontology, foreign: bool) -> Attributes:
     """Returns what else nodes say, in the order of their rows."""
-    known = (*OWN, *names_in_metadata(ontology))
+    known = (*own(ontology), *names_in_metadata(ontology))
     as_rows = all(node.id % 2**SYMBOL_BITS == row for row, node in enumerate(nodes))
+    as_rows &= not foreign  # in a file of others a symbol is a name that they know
     return [({} if as_rows else {ID: node.id}) | further(node.metadata, known) for node in nodes]
 
 
@@ -224,6 +262,31 @@ def _any_number(ontology: Ontology) -> np.ndarray:
 
 
 @functools.lru_cache
+def _layer_keys(ontology: Ontology) -> tuple[dict[str, int], ...]:
+    """Returns the layer and the partition of each concept.
+
+    Numbers rise with the concepts; but what is observed and has no parts has the first, and a whole
+    of which a part may have several, such as a wall, that of the part: neither is a second parent.
+    """
+    several, keys = _any_number(ontology), list[dict[str, int]]()
+    for label, concept in enumerate(ontology.concepts):
+        has_parts = ontology.may_be_part[:, label].any()
+        number = FIRST_LAYER if concept.observed and not has_parts else label + FIRST_LAYER
+        aside = several[label].any() and not ontology.has_one_whole[:, label].any()
+        if aside:
+            number = keys[np.flatnonzero(several[label]).max()]["layer"]
+        partition = ord(concept.letter) if aside or concept.observed else 0
+        keys.append({"layer": number, "partition": partition})
+    return tuple(keys)
+
+
+@functools.lru_cache
+def _labels(ontology: Ontology) -> Mapping[str, int]:
+    """Returns the labels of the concepts by layer."""
+    return {concept.layer: label for label, concept in enumerate(ontology.concepts)}
+
+
+@functools.lru_cache
 def _kept_wholes(ontology: Ontology) -> tuple[tuple[int, str], ...]:
     """Returns the labels of the wholes that metadata may keep, and under which keys."""
     labels = np.flatnonzero(_any_number(ontology).any(axis=1)).tolist()
@@ -240,14 +303,13 @@ def _node_records(
 ) -> list[dict[str, Any]]:
     columns = (np.asarray(field).tolist() for field in (graph.nodes.label, graph.nodes.position))
     owned, boxes = features_by_row(graph), _boxes(graph)
-    concepts = ontology_of(graph).concepts
+    concepts, keys = ontology_of(graph).concepts, _layer_keys(ontology_of(graph))
     return [
         {
             "id": ids[row],
-            "layer": FIRST_LAYER + label,
-            "partition": 0,
+            **keys[label],
             "attributes": {
-                **_attributes(concepts[label], row),
+                **_attributes(concepts[label], row, said[row]),
                 "position": position,
                 "bounding_box": _box(*boxes[row]),
                 "metadata": owned[row] | said[row],
@@ -257,14 +319,14 @@ def _node_records(
     ]
 
 
-def _attributes(concept: Concept, row: int) -> dict[str, Any]:
+def _attributes(concept: Concept, row: int, said: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the attributes that do not depend on geometry, every field of their class."""
     red, green, blue = bytes.fromhex(concept.colour[1:])
     is_room = concept.layer == LAYER_OF_ROOMS
     room: dict[str, Any] = {"semantic_class_probabilities": {}} if is_room else {}
     return {
         "type": "RoomNodeAttributes" if is_room else "SemanticNodeAttributes",
-        "name": f"{concept.name} {row}",
+        "name": f"{said.get(NAME, f'{concept.name} {row}')}",
         "color": {"r": red, "g": green, "b": blue, "a": 255},
         "semantic_label": NO_SEMANTIC_LABEL,
         "semantic_feature": {"rows": 0, "cols": 0, "data": None},
@@ -317,66 +379,14 @@ def _edge_record(
     return {"source": source, "target": target, "info": info}
 
 
-def _check_document(document: Any, where: str) -> None:
-    kinds = {HEADER: dict, "layer_keys": list, "layer_names": dict, "nodes": list, "edges": list}
-    if not isinstance(document, dict):
-        raise ValueError(f"{where}: the document is {document!r:.40}, expected a Spark-DSG graph")
-    for key, kind in kinds.items():
-        if not isinstance(document.get(key), kind):
-            held = "is missing" if key not in document else f"is {document[key]!r:.40}"
-            raise ValueError(
-                f"{where}: {key} {held}, expected {_article(kind)} as Spark-DSG 1.1.2 and newer "
-                "write it"
-            )
-
-
-def _article(kind: type) -> str:
-    return "an object" if kind is dict else "a list"
-
-
-def _layers(
-    document: dict[str, Any], labels: Mapping[str, int], where: str
-) -> dict[tuple[int, int], str]:
-    """Returns the names of the layers by layer and partition; Hydra gives layer 2 two names."""
-    keys = [_key(key, f"{where}: layer_keys[{i}]") for i, key in enumerate(document["layer_keys"])]
-    names: dict[tuple[int, int], list[str]] = {}
-    for name, value in document["layer_names"].items():
-        here = f"{where}: layer_names[{name!r:.40}]"
-        key = _key(value, here)
-        if key not in keys:
-            raise ValueError(f"{here} is {_text(key)}, expected one of layer_keys")
-        names.setdefault(key, []).append(name)
-        ours = [other for other in names[key] if other in labels]
-        if len(ours) > 1:
-            raise ValueError(f"{here} is {_text(key)} like {ours[0]}, expected a layer of its own")
-    return {key: min(several, key=lambda n: n not in labels) for key, several in names.items()}
-
-
-def _key(value: Any, where: str) -> tuple[int, int]:
-    if not isinstance(value, dict):
-        raise ValueError(f"{where} is {value!r:.40}, expected an object with layer and partition")
-    return _integer(value, "layer", where), _integer(value, "partition", where)
-
-
-def _text(key: tuple[int, int]) -> str:
-    return f"layer {key[0]}, partition {key[1]}"
-
-
-def _integer(record: Any, key: str, where: str) -> int:
-    value = field(record, key, where)
-    if type(value) is int and 0 <= value < 2**64:  # True is no number here
-        return value
-    raise ValueError(f"{where}.{key} is {value!r:.40}, expected an integer below 2^64")
-
-
 def _node(
     record: Any,
-    layers: Mapping[tuple[int, int], str],
-    labels: Mapping[str, int],
+    label: int,
+    ontology: Ontology,
     kept: tuple[tuple[int, str], ...],
+    names: Mapping[int, str],
     where: str,
 ) -> _Node:
-    label = _label(record, layers, labels, where)
     attributes, inside = field(record, "attributes", where), f"{where}.attributes"
     kind = field(attributes, "type", inside)
     if kind not in ATTRIBUTES:
@@ -384,25 +394,24 @@ def _node(
         raise ValueError(f"{inside}.type is {kind!r:.40}, expected one of {known}")
     position = vector(field(attributes, "position", inside), f"{inside}.position")
     metadata, inside = _metadata(attributes, inside), f"{inside}.metadata"
-    features = features_in(metadata, inside)
+    metadata = _named(attributes.get(NAME), ontology.concepts[label]) | metadata
+    features = features_in(metadata, inside, ontology.concepts[label])
     wholes: dict[int, list[int]] = {}
     for whole, name in kept:
         if (named := metadata.get(name)) is not None:
             if not isinstance(named, list):
                 raise ValueError(f"{inside}.{name} is {named!r:.40}, expected a list of node ids")
             wholes[whole] = named
-    return _Node(_integer(record, "id", where), Record(label, position, features), wholes, metadata)
+    made = Record(label, position, features)
+    if seen := None if features else thing_seen(made, attributes, names, ontology):
+        made, metadata = seen.record, seen.said | metadata
+    return _Node(integer(record, "id", where), made, wholes, metadata, seen)
 
 
-def _label(
-    record: Any, layers: Mapping[tuple[int, int], str], labels: Mapping[str, int], where: str
-) -> int:
-    key = _key(record, where)
-    if layers.get(key) not in labels:
-        named = f" ({layers[key]:.40})" if key in layers else ""
-        expected = f"one of {', '.join(labels)}"
-        raise ValueError(f"{where} lies in {_text(key)}{named}, expected {expected}")
-    return labels[layers[key]]
+def _named(name: Any, concept: Concept) -> dict[str, str]:
+    """Returns the name that a node has, if it is more than a concept and a number."""
+    given = isinstance(name, str) and name.removeprefix(f"{concept.name} ").strip("0123456789")
+    return {NAME: name} if given else {}
 
 
 def _metadata(record: dict[str, Any], where: str) -> dict[str, Any]:
@@ -422,18 +431,25 @@ def _rows_by_id(nodes: list[_Node], where: str) -> dict[int, int]:
     return row_of_id
 
 
-def _edge(record: Any, nodes: list[_Node], row_of_id: Mapping[int, int], where: str) -> _Edge:
+def _edge(
+    record: Any,
+    nodes: list[_Node],
+    row_of_id: Mapping[int, int],
+    observed: np.ndarray,
+    where: str,
+) -> _Edge:
     pair = []
     for end in ("source", "target"):
-        name = _integer(record, end, where)
+        name = integer(record, end, where)
         if name not in row_of_id:
             raise ValueError(f"{where}.{end} is {name}, expected the id of a node")
         pair.append(row_of_id[name])
     info = field(record, "info", where)
     if not isinstance(info, dict):
         raise ValueError(f"{where}.info is {info!r:.40}, expected an object")
-    within = nodes[pair[0]].record.label == nodes[pair[1]].record.label
-    default = RELATIONS[PROXIMITY if within else PART_OF]
+    first, second = (nodes[row].record.label for row in pair)
+    beside = first == second or observed[[first, second]].all()
+    default = RELATIONS[PROXIMITY if beside else PART_OF]
     metadata = _metadata(info, f"{where}.info")
     relation = metadata.get("relation", default)
     if relation not in RELATIONS:

@@ -210,7 +210,7 @@ def _read_message(
     with_points = [each for each in records if isinstance(each, dict) and [] not in each.values()]
     if len(with_points) < LEAST_OBSERVED:
         return Changes(removed=heard.names), Heard()
-    graph, attributes, _ = read_message(message, where)
+    graph, attributes = read_message(message, where)[:2]
     if ontology_of(graph) != ontology:
         known = ", ".join(ontology.names)
         raise ValueError(f"{where} is a message of S-Graphs, expected changes of {known}")
@@ -243,7 +243,7 @@ def _lists(ontology: Ontology) -> dict[str, tuple[int, Concept]]:
 def _record(item: Any, label: int, concept: Concept, where: str) -> Record:
     centroid = vector(field(item, "centroid", where), f"{where}.centroid")
     features = {
-        name: feature(name, field(item, name, where), f"{where}.{name}")
+        name: feature(name, field(item, name, where), f"{where}.{name}", concept)
         for name in concept.features
     }
     return Record(label, centroid, features)

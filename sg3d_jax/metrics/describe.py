@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Int
 
 from sg3d_jax.scene.graph import (
     FEATURES,
@@ -24,7 +24,7 @@ from sg3d_jax.scene.graph import (
 )
 from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 from sg3d_jax.scene.padding import Capacity, bucket, stack
-from sg3d_jax.scene.proximity import nearest_neighbours
+from sg3d_jax.scene.proximity import observed_neighbours
 
 Summary = dict[str, float]
 
@@ -67,23 +67,22 @@ def describe(graphs: Sequence[SceneGraph]) -> dict[str, Any]:
 def count_proximity_edges(graphs: Sequence[SceneGraph]) -> np.ndarray:
     """Returns the number of undirected proximity edges of each host graph, int[B].
 
-    A graph without any is counted as if each observed node were joined to its 10 nearest.
+    A graph without any is counted with those that it is grown with.
     """
     counts = np.array([len(undirected_edges(graph, PROXIMITY)) for graph in graphs])
     members: dict[Capacity, list[int]] = defaultdict(list)
     for index in np.flatnonzero(counts == 0).tolist():
         members[bucket(len(graphs[index].nodes.label), len(graphs[index].senders))].append(index)
     for capacity, indices in members.items():
-        nodes = stack([graphs[index] for index in indices], capacity).nodes
-        counts[indices] = _count_pairs(nodes.position, nodes.observed)
+        counts[indices] = _count_pairs(stack([graphs[index] for index in indices], capacity))
     return counts
 
 
 @jax.jit
 @jax.vmap
-def _count_pairs(position: Float[Array, "N 3"], observed: Bool[Array, " N"]) -> Int[Array, ""]:
+def _count_pairs(graph: SceneGraph) -> Int[Array, ""]:
     """Returns the number of pairs of near observed nodes of one graph."""
-    return jnp.sum(nearest_neighbours(position, observed)) // 2
+    return jnp.sum(observed_neighbours(graph.nodes, ontology_of(graph))) // 2
 
 
 def _summary(values: np.ndarray) -> Summary:

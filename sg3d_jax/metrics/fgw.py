@@ -132,7 +132,8 @@ def fgw_pairs(
     """Returns the FGW distances of many pairs of host graphs.
 
     Pairs of one size bucket share a compilation, are solved a fixed number at a time, and are dealt
-    to all devices: with the option `jax_num_cpu_devices` at the number of cores, to all cores.
+    to all devices of the CPU: with the option `jax_num_cpu_devices` at the number of cores, to all
+    cores. That is so beside an accelerator, too (see `solvers`).
 
     Args:
       generated: host graphs of any size and anywhere.
@@ -165,6 +166,19 @@ def fgw_pairs(
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[place], *chunks)
 
 
+def solvers() -> list[jax.Device]:
+    """Returns the devices that solve pairs: those of the CPU, if JAX has it.
+
+    An assignment is thousands of small steps, each of which waits for the one before: a core takes
+    them in its stride, and an accelerator, which is free for growing or training meanwhile, would
+    have to be told of every one.
+    """
+    try:
+        return jax.local_devices(backend="cpu")
+    except RuntimeError:  # JAX_PLATFORMS leaves it out
+        return jax.local_devices()
+
+
 def _in_chunks(members: list[int]) -> list[list[int]]:
     """Cuts a list into pieces that one call can take."""
     starts = range(0, len(members), PAIRS_PER_CALL)
@@ -187,7 +201,7 @@ def _fgw_chunk(
     pairs: Sequence[Pair], capacity: Capacity, alpha: Scalar, scale: Scale, loss: Loss
 ) -> FGW:
     """Scores at most `PAIRS_PER_CALL` pairs, dealt to the devices in turn."""
-    mesh = Mesh(np.array(jax.local_devices()), ("pairs",))
+    mesh = Mesh(np.array(solvers()), ("pairs",))
     share = -(-PAIRS_PER_CALL // mesh.size)
     slots = np.arange(share * mesh.size).reshape(mesh.size, share).T.ravel()[: len(pairs)]
     filled = [(NOTHING, NOTHING)] * (share * mesh.size)
@@ -260,6 +274,7 @@ def _stack(
             position=padded(node_mask, position, np.float32),
             normal=np.zeros((*node_mask.shape, 3), np.float32),
             width=np.zeros(node_mask.shape, np.float32),
+            kind=np.zeros(node_mask.shape, np.float32),
             observed=padded(node_mask, joined("observed"), bool),
             mask=node_mask,
         ),

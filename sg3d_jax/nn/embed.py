@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from sg3d_jax.scene.graph import Nodes, SceneGraph, ontology_of
@@ -102,14 +103,16 @@ def relative_to_points(points: Float[Array, "M 3"], surfaces: Surface) -> Float[
 def node_features(graph: SceneGraph) -> Float[Array, "N F"]:
     """Returns the inputs of every node: concept, width, and how many neighbours of each concept.
 
-    The counts say what is already explained: a plane without a room, a room without a floor.
+    The counts say what is already explained: a plane without a room, a room without a floor. Where
+    something observed has kinds, its kind, too; that of what is grown is never an input.
     """
     nodes = graph.nodes
     concept = _one_hot_concept(graph)
     neighbours = part_of_adjacency(graph).astype(jnp.float32) @ concept
     width = multiscale(nodes.width[:, None])
     planes_apart = jnp.minimum(neighbours, 3.0)
-    features = jnp.concatenate([concept, width, planes_apart, neighbours / 10.0], axis=-1)
+    kind = _one_hot_kind(graph)
+    features = jnp.concatenate([concept, width, planes_apart, neighbours / 10.0, kind], axis=-1)
     return features * nodes.mask[:, None]
 
 
@@ -158,6 +161,16 @@ def graph_features(graph: SceneGraph) -> Float[Array, " F"]:
 def _one_hot_concept(graph: SceneGraph) -> Float[Array, "N C"]:
     concepts = jax.nn.one_hot(graph.nodes.label, ontology_of(graph).num_concepts)
     return concepts * graph.nodes.mask[:, None]
+
+
+def _one_hot_kind(graph: SceneGraph) -> Float[Array, "N K"]:
+    """Returns the kinds of observed nodes, as many columns as their concepts have kinds in all."""
+    ontology, nodes = ontology_of(graph), graph.nodes
+    most = ontology.num_kinds * ontology.is_observed
+    first = np.cumsum(most) - most
+    column = jnp.asarray(first)[nodes.label] + nodes.kind.astype(jnp.int32) - 1
+    known = nodes.observed & (nodes.kind > 0)
+    return jax.nn.one_hot(column, int(most.sum())) * known[:, None]
 
 
 def sinusoids(value: Float[Array, "..."], num_features: int = 16) -> Float[Array, "... F"]:

@@ -82,3 +82,21 @@ class GraphHead(nn.Module):
         pooled = jnp.concatenate([mean, most, graph_features(graph)])
         hidden = nn.relu(nn.Dense(self.width, name="hidden")(pooled))
         return nn.Dense(self.num_logits, name="logits")(hidden)
+
+
+class NodeHead(nn.Module):
+    """A GINE and an MLP: logits of every node.
+
+    Source: ours.
+    """
+
+    width: int
+    layers: int
+    num_logits: int
+
+    @nn.compact
+    def __call__(self, graph: SceneGraph) -> Float[Array, "N K"]:
+        """Returns the logits of the nodes of one padded graph."""
+        nodes = GINE(self.width, self.layers, name="gine")(graph).nodes
+        hidden = nn.relu(nn.Dense(self.width, name="hidden")(nodes))
+        return nn.Dense(self.num_logits, name="logits")(hidden)

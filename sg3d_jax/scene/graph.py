@@ -34,6 +34,7 @@ class Nodes(NamedTuple):
     position: Array  # float[N, 3], centroid, metres
     normal: Array  # float[N, 3], unit, into the room; zero for concepts that have none
     width: Array  # float[N], horizontal extent, metres; zero for concepts that have none
+    kind: Array  # float[N], place among the kinds of its concept, from 1; 0 unknown, or none
     observed: Array  # bool[N], True for real nodes that are given and never generated
     mask: Array  # bool[N], True for real nodes
 
@@ -76,6 +77,7 @@ def make_graph(
     part_of: Array = (),
     proximity: Array = (),
     ontology: Ontology = PAPER_ONTOLOGY,
+    kind: Array | None = None,
 ) -> SceneGraph:
     """Builds an unpadded host graph from undirected edges.
 
@@ -87,6 +89,8 @@ def make_graph(
       part_of: int[e, 2], pairs of node indices in either direction, each pair once.
       proximity: int[p, 2], likewise.
       ontology: the concepts.
+      kind: int[n], from 1 among the kinds of each concept, zero for what has none or is unknown;
+        None for all zero.
 
     Returns:
       A numpy `SceneGraph` whose edges are all forward directions, then all backward ones.
@@ -98,7 +102,7 @@ def make_graph(
     label = np.asarray(label, np.int32)
     features = {
         name: np.zeros((len(label), *shape)) if array is None else _rows(array, shape)
-        for array, (name, shape) in zip((normal, width), FEATURES.items(), strict=True)
+        for array, (name, shape) in zip((normal, width, kind), FEATURES.items(), strict=True)
     }
     known = (label >= 0) & (label < ontology.num_concepts)  # what is not is refused when validated
     return SceneGraph(

@@ -22,7 +22,9 @@ NUM_RELATIONS: Final = len(RELATIONS)
 
 # What a node may have beside its position, and the shape of it: fields of `graph.Nodes`. Which
 # concepts have which is said by the ontology; formats and checks go through this table.
-FEATURES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType({"normal": (3,), "width": ()})
+FEATURES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
+    {"normal": (3,), "width": (), "kind": ()}
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +38,9 @@ class Concept:
       layer: its layer in Spark-DSG, upper case, plural.
       observed: whether its nodes are given, and never generated.
       features: what its nodes have beside a position, of `FEATURES`; zero for all others.
+      kinds: what its nodes may be, such as chairs among objects; the feature `kind` of a node is
+        its place among them, counted from 1, and 0 where it is unknown. Kinds of what is observed
+        are given, those of what is grown are found in the complete graph.
       least_parts: fewer parts than this are odd.
       above: whether a node stands above its parts, and not amid them.
       hears_kin: whether its nodes hear of the nearest others of their own concept in the encoder.
@@ -47,6 +52,7 @@ class Concept:
     layer: str
     observed: bool = False
     features: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
     least_parts: int = 1
     above: bool = False
     hears_kin: bool = False
@@ -108,6 +114,7 @@ class Ontology:
                 raise ValueError(
                     f"ontology: feature of {concept.name} is {unknown[0]!r}, expected of {known}"
                 )
+            _check_kinds(concept)
         if self.is_observed.all() or not self.is_observed.any():
             raise ValueError("ontology: expected concepts that are observed, and others that grow")
         for rule in self.rules:
@@ -178,6 +185,16 @@ class Ontology:
         """Returns bool[C], the concepts whose nodes have a feature."""
         return np.array([feature in concept.features for concept in self.concepts], bool)
 
+    @functools.cached_property
+    def features(self) -> tuple[str, ...]:
+        """The features that some concept has, in the order of `FEATURES`."""
+        return tuple(name for name in FEATURES if self.has(name).any())
+
+    @functools.cached_property
+    def num_kinds(self) -> np.ndarray:
+        """int[C], how many kinds the nodes of each concept may be of."""
+        return np.array([len(concept.kinds) for concept in self.concepts])
+
     def label_of(self, name: str) -> int:
         """Returns the label of a concept.
 
@@ -204,6 +221,20 @@ class Ontology:
     @functools.cached_property
     def _hash(self) -> int:
         return hash((self.concepts, self.rules))
+
+
+def _check_kinds(concept: Concept) -> None:
+    """Refuses kinds without the feature, the feature without kinds, and kinds that repeat."""
+    kinds = concept.kinds
+    if bool(kinds) != ("kind" in concept.features):
+        held = ", ".join(concept.features) or "none"
+        problem = f"kinds of {concept.name} are {list(kinds)}, its features {held}"
+        raise ValueError(f"ontology: {problem}, expected kinds and the feature kind, or neither")
+    if odd := [kind for kind in kinds if not (kind and kind.isprintable())]:
+        raise ValueError(f"ontology: kind of {concept.name} is {odd[0]!r:.40}, expected one line")
+    if repeated := [kind for kind in kinds if kinds.count(kind) > 1]:
+        problem = f"kind {repeated[0]!r:.40} of {concept.name} is there twice"
+        raise ValueError(f"ontology: {problem}, expected once")
 
 
 def ontology_from_dict(values: Any, where: str = "ontology") -> Ontology:

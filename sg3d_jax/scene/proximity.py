@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sg3d_jax.scene.graph import Edges, PackedGraph
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
+from sg3d_jax.scene.graph import Edges, Nodes, PackedGraph, ontology_of
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, Ontology
 
 NEIGHBOURS = 10
+OTHERS = 3  # neighbours of other concepts
 
 
 def nearest_neighbours(
@@ -29,8 +30,34 @@ def nearest_neighbours(
       True at (i, j) if j is among the k nearest of i, or i among those of j. Ties go to the lower
       index.
     """
-    num_nodes = position.shape[0]
-    nearest, found = k_nearest(position, mask[:, None] & mask[None, :], k)
+    return _either_way(*k_nearest(position, mask[:, None] & mask[None, :], k))
+
+
+def observed_neighbours(
+    nodes: Nodes, ontology: Ontology, k: int = NEIGHBOURS
+) -> Bool[Array, "N N"]:
+    """Returns the symmetric adjacency of the proximity graph of observed nodes.
+
+    Where several concepts are observed, a node is joined to the k nearest of its own and to the
+    `OTHERS` nearest of any other: furniture must not come between the walls.
+
+    Args:
+      nodes: padded.
+      ontology: their concepts.
+      k: neighbours a node.
+    """
+    observed = nodes.observed
+    if ontology.is_observed.sum() == 1:
+        return nearest_neighbours(nodes.position, observed, k)
+    pairs = observed[:, None] & observed[None, :]
+    alike = nodes.label[:, None] == nodes.label[None, :]
+    own = _either_way(*k_nearest(nodes.position, pairs & alike, k))
+    return own | _either_way(*k_nearest(nodes.position, pairs & ~alike, OTHERS))
+
+
+def _either_way(nearest: Int[Array, "N K"], found: Bool[Array, "N K"]) -> Bool[Array, "N N"]:
+    """Returns True at (i, j) if j is among what is nearest to i, or i to j."""
+    num_nodes = nearest.shape[0]
     rows = jnp.arange(num_nodes)[:, None]
     directed = jnp.zeros((num_nodes, num_nodes), bool).at[rows, nearest].set(found)
     return directed | directed.T
@@ -69,7 +96,7 @@ def connect_observed(graph: PackedGraph, k: int = NEIGHBOURS) -> PackedGraph:
     Source: paper, Sec. "Initializing the plane graph".
     """
     nodes, edges = graph.nodes, graph.edges
-    adjacency = nearest_neighbours(nodes.position, nodes.observed, k)
+    adjacency = observed_neighbours(nodes, ontology_of(graph), k)
     capacity = edges.mask.shape[0]
     senders, receivers = jnp.nonzero(adjacency, size=capacity, fill_value=0)
     is_near = jnp.arange(capacity) < jnp.sum(adjacency)

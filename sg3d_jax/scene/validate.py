@@ -64,6 +64,7 @@ def check_observed(graph: SceneGraph, where: str) -> None:
         concept = ontology.concepts[kind]
         _check_intake(graph, label == kind, concept.features, where, concept.layer.lower())
     _check_featureless(graph, observed, where)
+    _check_kinds(graph, observed, where)
     width = np.asarray(nodes.width)[observed]
     _check_metres(position[observed], width, where, ontology.observed_plural)
 
@@ -149,6 +150,7 @@ def _check_nodes(graph: SceneGraph, where: str, unit: bool) -> None:
     _refuse(where, "nodes", "normal", normal, facing & skewed, "length 1")
     _refuse(where, "nodes", "width", width, wide & (width < 0), "zero metres or more")
     _check_featureless(graph, np.ones(len(label), bool), where)
+    _check_kinds(graph, np.ones(len(label), bool), where)
     wrong = np.asarray(nodes.observed) != ontology.is_observed[label]
     _refuse(where, "nodes", "observed", np.asarray(nodes.observed), wrong, "what its label says")
 
@@ -161,6 +163,15 @@ def _check_featureless(graph: SceneGraph, rows: np.ndarray, where: str) -> None:
         owners = " and ".join(c.layer.lower() for c in ontology.concepts if name in c.features)
         astray = rows & ~having & _rows_with_any(values != 0)
         _refuse(where, "nodes", name, values, astray, f"zero: only {owners or 'others'} have one")
+
+
+def _check_kinds(graph: SceneGraph, rows: np.ndarray, where: str) -> None:
+    """Refuses kinds that the concept of a node has not."""
+    most = ontology_of(graph).num_kinds[np.asarray(graph.nodes.label)]
+    kind = np.asarray(graph.nodes.kind)
+    wrong = rows & ~np.isin(kind, range(int(most.max(initial=0)) + 1)) | rows & (kind > most)
+    expected = f"0 to {most[np.argmax(wrong)]}" if len(most) else ""
+    _refuse(where, "nodes", "kind", kind, wrong, expected)
 
 
 def _is_known(graph: SceneGraph) -> np.ndarray:

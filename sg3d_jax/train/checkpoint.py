@@ -1,9 +1,13 @@
 """Checkpoints of a run: the latest two, to go on from, and the best by validation FGW, to use.
 
-The only file that knows orbax. Its `best_fn` with `max_to_keep` deletes the newest checkpoint
-(orbax issue 526), so they are kept by name here. Each has a digest of its files. One that is not
-what its digest says, or cannot be read, is set aside in the folder `damaged` beside the others; as
-the latest may be that one, after a power cut for example, the one before it stays, too.
+The only file that knows orbax, and of that only how a state is written and read: its own keeper of
+checkpoints deletes the newest (orbax issue 526). A checkpoint gets its name when it is whole, with
+a digest of its files. One that is no longer what that says is set aside in the folder `damaged`
+beside the others; as the latest may be that one, after a power cut for example, the one before it
+stays, too.
+
+Of several processes the first alone comes here, but for `restore` and `write_state`: orbax has all
+processes read and write together, and as often as one another.
 """
 
 import contextlib
@@ -27,10 +31,13 @@ import jax.numpy as jnp
 import numpy as np
 from orbax.checkpoint import v1 as ocp
 
-from sg3d_jax.io.files import replacing, sync
+from sg3d_jax.io.files import sync
 from sg3d_jax.train.step import TrainState
 
-DIGEST: Final = "digest"  # the file of it in the folder of a checkpoint
+METRICS: Final = "metrics/metrics"  # the file of them in the folder of a checkpoint,
+DIGEST: Final = "digest"  # and that of its digest, which is written last
+UNFINISHED: Final = ".unfinished"  # ends the name of a folder that is not whole yet, or no longer
+LATEST: Final = 2  # how many of them are kept
 PATIENCE: Final = 1.0  # seconds in which all writes fail, once one has
 
 
@@ -44,34 +51,26 @@ class Kept(NamedTuple):
 class Checkpoints(NamedTuple):
     """The open checkpoints of one run."""
 
-    manager: Any  # ocp.training.Checkpointer
     directory: Path  # theirs
-    damaged: list[str]  # names of those that were found so, and set aside
+    damaged: tuple[str, ...] = ()  # names of those that were found so, and set aside
 
 
-def open_checkpoints(directory: Path, template: TrainState) -> Checkpoints:
+def open_checkpoints(directory: Path) -> Checkpoints:
     """Opens, or begins, the checkpoints of a run, without those that are damaged.
 
     Args:
-      directory: theirs; no other process writes there.
-      template: a state of the same shapes; its values do not matter.
+      directory: theirs; no other run writes there.
     """
-    directory = directory.resolve()
-    for unfinished in directory.glob("*.orbax-checkpoint-tmp"):  # of a process that was killed
-        shutil.rmtree(unfinished)
-    damaged = [path for path in _folders(directory) if not _is_sound(path, template)]
+    directory.mkdir(parents=True, exist_ok=True)
+    _remove_unfinished(directory)
+    damaged = [path for path in _folders(directory) if not _is_sound(path)]
     for path in damaged:
         _set_aside(path)
-    policies: Any = ocp.training.preservation_policies
-    best = policies.BestN(n=1, get_metric_fn=lambda metrics: metrics["fgw"], reverse=True)
-    keep = policies.AnyPreservationPolicy([policies.LatestN(2), best])
-    with _quiet():
-        manager = ocp.training.Checkpointer(str(directory), preservation_policy=keep)
-    return Checkpoints(manager, directory, [path.name for path in damaged])
+    return Checkpoints(directory, tuple(path.name for path in damaged))
 
 
 def save(checkpoints: Checkpoints, state: TrainState, fgw: float) -> None:
-    """Saves the state under its step; orbax writes to a temporary name and renames.
+    """Saves the state under its step, and removes what need not be kept.
 
     Args:
       checkpoints: of the run.
@@ -84,24 +83,34 @@ def save(checkpoints: Checkpoints, state: TrainState, fgw: float) -> None:
     step, fgw = int(state.step), math.inf if math.isnan(fgw) else float(fgw)
     path = checkpoints.directory / str(step)
     try:
-        with _quiet():
-            saved = {"state": state}
-            checkpoints.manager.save_checkpointables(step, saved, metrics={"fgw": fgw})
-        for written in (*path.rglob("*"), path.parent):
+        temporary = write_state(checkpoints, state)
+        (temporary / METRICS).parent.mkdir()
+        (temporary / METRICS).write_text(json.dumps({"step": step, "fgw": fgw}))
+        (temporary / DIGEST).write_text(_digest(temporary))
+        for written in (*temporary.rglob("*"), temporary):
             sync(written)
-        digest = _digest(path)
-        with replacing(path / DIGEST) as temporary:
-            temporary.write_text(digest)
+        temporary.rename(path)
+        sync(path.parent)
     except Exception as error:  # orbax raises almost anything
+        _remove_unfinished(path.parent)
         raise OSError(
             f"{path}: the checkpoint could not be written ({_reason(error)}); those before it are "
             "untouched"
         ) from error
+    _remove_needless(checkpoints)
+
+
+def write_state(checkpoints: Checkpoints, state: TrainState) -> Path:
+    """Writes a state, once for all processes, to what is a part of a checkpoint; returns where."""
+    path = checkpoints.directory.resolve() / f"{int(state.step)}{UNFINISHED}"
+    with _quiet():
+        ocp.save_checkpointables(str(path), {"state": jax.tree.map(np.asarray, state)})
+    return path
 
 
 def steps(checkpoints: Checkpoints) -> list[Kept]:
     """Returns what is kept, oldest first."""
-    return [Kept(kept.step, kept.metrics["fgw"]) for kept in checkpoints.manager.checkpoints]
+    return [Kept(int(path.name), _metrics(path)["fgw"]) for path in _folders(checkpoints.directory)]
 
 
 def restore(checkpoints: Checkpoints, template: TrainState, step: int) -> TrainState:
@@ -112,38 +121,51 @@ def restore(checkpoints: Checkpoints, template: TrainState, step: int) -> TrainS
       template: a state of the same shapes; its values do not matter.
       step: one that is kept.
     """
-    loaded = _load(checkpoints.directory / str(step), template)
+    path, abstract = checkpoints.directory / str(step), jax.tree.map(np.asarray, template)
+    with _quiet():
+        loaded = ocp.load_checkpointables(str(path.resolve()), {"state": abstract})["state"]
     return jax.tree.map(jnp.asarray, loaded)  # on no device in particular, as a new state
 
 
-def close(checkpoints: Checkpoints) -> None:
-    """Closes; what could not be written has been said by `save`, and orbax says it once more."""
-    with _quiet(), contextlib.suppress(Exception):
-        checkpoints.manager.close()
+def _remove_needless(checkpoints: Checkpoints) -> None:
+    """Removes what is neither among the latest nor the best, of equals the first."""
+    kept = steps(checkpoints)
+    best = min(kept, key=lambda one: one.fgw)
+    for one in kept[:-LATEST]:
+        if one != best:
+            path = checkpoints.directory / str(one.step)
+            path.rename(path.with_name(f"{path.name}{UNFINISHED}"))
+    _remove_unfinished(checkpoints.directory)
+
+
+def _remove_unfinished(directory: Path) -> None:
+    """Removes what is not whole, as of a process that was killed."""
+    for pattern in (f"*{UNFINISHED}", "*.orbax-checkpoint-tmp"):
+        for path in directory.glob(pattern):
+            shutil.rmtree(path)
 
 
 def _folders(directory: Path) -> list[Path]:
-    """Returns what orbax takes for checkpoints, oldest first."""
+    """Returns the checkpoints, sound or not, oldest first."""
     folders = directory.iterdir() if directory.is_dir() else ()
     return sorted((path for path in folders if path.name.isdecimal()), key=lambda p: int(p.name))
 
 
-def _is_sound(path: Path, template: TrainState) -> bool:
-    """Returns whether a checkpoint is what its digest says and can be read.
-
-    One without a digest, of an earlier version or of a process that was killed just before it
-    wrote it, is taken if it can be read.
-    """
+def _is_sound(path: Path) -> bool:
+    """Returns whether a checkpoint is what its digest says; earlier versions wrote none."""
     try:
         digest = path / DIGEST
         if digest.exists() and digest.read_text() != _digest(path):
             return False
-        fgw = json.loads((path / "metrics" / "metrics").read_text())["fgw"]
-        with _quiet():
-            step = int(_load(path, template).step)
-        return not math.isnan(fgw) and path.name == str(step)
-    except Exception:  # a damaged checkpoint raises almost anything
+        metrics = _metrics(path)
+        return not math.isnan(metrics["fgw"]) and path.name == str(metrics.get("step", path.name))
+    except (OSError, ValueError, TypeError, KeyError):  # a file is missing, or not what we wrote
         return False
+
+
+def _metrics(path: Path) -> dict[str, Any]:
+    """Returns what a checkpoint says of itself: its step, if it is no older, and its score."""
+    return json.loads((path / METRICS).read_text())
 
 
 def _digest(path: Path) -> str:
@@ -154,12 +176,6 @@ def _digest(path: Path) -> str:
             name = file.relative_to(path).as_posix().encode()
             digest.update(name + b"\0" + file.read_bytes())
     return digest.hexdigest()
-
-
-def _load(path: Path, template: TrainState) -> TrainState:
-    """Loads the state of a checkpoint as arrays of the host."""
-    abstract = jax.tree.map(np.asarray, template)
-    return ocp.load_checkpointables(str(path), {"state": abstract})["state"]
 
 
 def _set_aside(path: Path) -> None:

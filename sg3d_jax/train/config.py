@@ -78,8 +78,9 @@ class Config:
     initial: str | None = None  # weights to start from, by name or path; None for a random draw
     seed: int = 0  # of the parameters and of every draw in training
     steps: int = 20_000
-    batch: int = 32  # graphs a step,
+    batch: int = 32  # graphs,
     batch_nodes: int = 8192  # but at most so many slots of nodes, so that large graphs fit
+    accumulate: int = 1  # batches a step, one after another or each on a device of its own
     steps_per_call: int = 50  # scanned in one compiled call
     capacities: tuple[int, ...] = (24, 48, 96)  # node buckets of the training set
     validate_every: int = 2_500

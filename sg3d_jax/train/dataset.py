@@ -14,7 +14,7 @@ from sg3d_jax.data.robot import VIEWS, in_pieces, view
 from sg3d_jax.data.splits import split_of
 from sg3d_jax.nn.kin import kin_slots
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph, ontology_of
-from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology
+from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.scene.padding import Capacity, stack
 from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
@@ -84,7 +84,7 @@ def _load_split(config: DataConfig, part: str, *methods: str) -> list[SceneGraph
     """Returns the graphs of one data set."""
     name = config.name
     if spec := registry.DATASETS.get(name):
-        _check_top(name, spec.top, PAPER_ONTOLOGY, methods)
+        _check_top(name, spec.top, spec.ontology, methods)
         if spec.config is None:
             raise ValueError(
                 f"{name} is made of a file that you have, expected the npz file that "

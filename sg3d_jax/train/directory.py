@@ -18,7 +18,7 @@ import jax
 
 from sg3d_jax import origin
 from sg3d_jax.io.files import field, number, read_documents, replacing, write_documents
-from sg3d_jax.train.config import Config, to_json
+from sg3d_jax.train.config import Config, from_dict, to_json
 
 CONFIG: Final = "config.json"
 ORIGINS: Final = "origins.jsonl"
@@ -93,6 +93,8 @@ def check_same_run(directory: Path, config: Config) -> int | None:
     ((_, there),) = read_documents(path)
     here = json.loads(to_json(config))
     steps = field(there, "steps", f"{path}")
+    with contextlib.suppress(ValueError):  # what is newer than the run has its default
+        there = json.loads(to_json(from_dict(there)))
     is_longer = isinstance(steps, int) and steps < config.steps
     changed = _changes(there | ({"steps": config.steps} if is_longer else {}), here)
     if changed:

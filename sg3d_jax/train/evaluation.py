@@ -1,13 +1,13 @@
 """What can be scored, by name: anything that turns planes into scene graphs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from sg3d_jax.baselines import rand
-from sg3d_jax.infer.complete import complete, share_halted
+from sg3d_jax.infer.complete import complete_each
 from sg3d_jax.io.formats import READABLE, read_graphs
 from sg3d_jax.scene.graph import SceneGraph, observed_of, ontology_of
 from sg3d_jax.train.config import DataConfig
@@ -15,6 +15,16 @@ from sg3d_jax.train.dataset import load_split
 from sg3d_jax.train.methods import METHODS, sampling_steps
 from sg3d_jax.train.presets import BASELINES, parse
 from sg3d_jax.train.weights import load_weights, names, with_diffusion_steps
+
+
+class Made(NamedTuple):
+    """What a method made of a scene."""
+
+    graph: SceneGraph  # on the host
+    halted: bool | None = None  # whether it was found complete; None if it did not grow
+    pieces: np.ndarray | None = None  # see `score`; None if nothing is in pieces
+    # How likely nodes and part-of edges are right; None if it was not told.
+    confidence: tuple[np.ndarray, np.ndarray] | None = None
 
 
 class Result(NamedTuple):
@@ -27,15 +37,34 @@ class Result(NamedTuple):
     confidence: list[tuple[np.ndarray, np.ndarray]] | None = None
 
 
+# Of scenes, a seed, and the places of those that are wanted: what is made of each, in order.
+CompleteEach = Callable[[Sequence[SceneGraph], int, Sequence[int]], Generator[Made]]
+
+
 class Contender(NamedTuple):
     """A method on a data set, trained or fitted, or graphs that somebody made."""
 
     name: str  # of the method; of graphs that somebody made, their file
     weights: str | None  # name or file; None for methods without
     data: DataConfig  # what it is scored on: its own data set unless another is asked for
-    complete: Callable[[Sequence[SceneGraph], int], Result]  # of scenes and a seed
+    complete_each: CompleteEach
     target: Callable[[SceneGraph], SceneGraph] = lambda graph: graph  # what is to be completed
     diffusion_steps: int | None = None  # of the topology; None for methods without
+
+    def complete(self, scenes: Sequence[SceneGraph], seed: int) -> Result:
+        """Completes all of some scenes."""
+        return joined(list(self.complete_each(scenes, seed, range(len(scenes)))))
+
+
+def joined(made: Sequence[Made]) -> Result:
+    """Puts what a method made of each scene together."""
+    graphs, halted, pieces, confidence = (list(field) for field in zip(*made, strict=True))
+    return Result(
+        graphs,
+        None if None in halted else float(np.mean(halted)),
+        None if any(one is None for one in pieces) else pieces,
+        None if None in confidence else confidence,
+    )
 
 
 def load_contender(
@@ -70,11 +99,22 @@ def load_contender(
         raise ValueError(f"{name} is not of one data set, expected --data with one")
     source = DataConfig(name=data)
     if method not in BASELINES:
-        return Contender(name, None, source, lambda scenes, seed: Result(_read(name, scenes)))
+        return Contender(name, None, source, _at_once(lambda scenes, seed: _read(name, scenes)))
     model = BASELINES[method](load_split(source, "train"), source.label)
-    return Contender(
-        method, None, source, lambda scenes, seed: Result(rand.complete(model, scenes, seed))
-    )
+    drawn = _at_once(lambda scenes, seed: rand.complete(model, scenes, seed))
+    return Contender(method, None, source, drawn)
+
+
+def _at_once(complete: Callable[[Sequence[SceneGraph], int], list[SceneGraph]]) -> CompleteEach:
+    """Returns completing by what makes all graphs at once."""
+
+    def complete_each(
+        scenes: Sequence[SceneGraph], seed: int, places: Sequence[int]
+    ) -> Generator[Made]:
+        graphs = complete(scenes, seed)
+        yield from (Made(graphs[place]) for place in places)
+
+    return complete_each
 
 
 def _weights_of(method: str, data: str) -> str:
@@ -102,23 +142,30 @@ def _trained(
     if data is not None and data != source.name:
         source = DataConfig(data, None, source.seed, source.split_seed)
 
-    def complete_all(scenes: Sequence[SceneGraph], seed: int) -> Result:
-        completed = complete(trained.model, trained.params, scenes, seed, candidates=candidates)
-        made = [one for one, *_ in completed]
-        told = [
-            (one.node_confidence, one.edge_confidence)
-            for one in made
-            if one.node_confidence is not None and one.edge_confidence is not None
-        ]
-        confidence = told if len(told) == len(made) else None
-        pieces = [one.pieces for one in made]
-        return Result([one.graph for one in made], share_halted(made), pieces, confidence)
+    def each(scenes: Sequence[SceneGraph], seed: int, places: Sequence[int]) -> Generator[Made]:
+        wanted = [scenes[place] for place in places]
+        names = [f"scene {place}" for place in places]
+        completed = complete_each(
+            trained.model,
+            trained.params,
+            wanted,
+            seed,
+            candidates=candidates,
+            names=names,
+            numbers=places,
+        )
+        for (one,) in completed:
+            halted = None if one.halt_reason == "ONE_SHOT" else one.halt_reason == "HALTED"
+            sure = None
+            if one.node_confidence is not None and one.edge_confidence is not None:
+                sure = one.node_confidence, one.edge_confidence
+            yield Made(one.graph, halted, one.pieces, sure)
 
     return Contender(
         name=config.method,
         weights=name,
         data=source,
-        complete=complete_all,
+        complete_each=each,
         target=METHODS[config.method].target,
         diffusion_steps=sampling_steps(config.model),
     )

@@ -5,19 +5,25 @@ draw follow from its seeds and the step, so a resumed run continues bit for bit.
 are raised goes on from where it is, by the schedule of the new length: the learning rate, which had
 fallen towards zero, rises to what it is at that step of a run so long. It is not, then, what a run
 of that length would have been from its start.
+
+Devices and processes change nothing: batches are spread over them (`train/step.py`), and of several
+processes the first alone reads, validates and writes, while the others take the steps with it.
 """
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import chex
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from sg3d_jax.distributed import is_first
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.infer.complete import complete, share_halted
 from sg3d_jax.infer.lanes import Model, root_key
@@ -33,9 +39,14 @@ from sg3d_jax.train.digest import digest_of
 from sg3d_jax.train.directory import changes_of_origin, check_same_run, held, origin_of, write_run
 from sg3d_jax.train.log import display, say_remark, writers
 from sg3d_jax.train.methods import METHODS, Measured, build_model, measure
+from sg3d_jax.train.processes import from_first, on_all_devices, together
 from sg3d_jax.train.statistics import shares_of
-from sg3d_jax.train.step import TrainCall, TrainState, init_state, make_train_call
+from sg3d_jax.train.step import TrainCall, TrainState, init_state, make_train_call, mesh_of
+from sg3d_jax.train.transfer import transferred
 from sg3d_jax.train.weights import load_weights, save_weights
+
+CHECKPOINTS: Final = "checkpoints"  # the folder in the run directory, and
+WEIGHTS: Final = "weights.npz"  # the file there
 
 
 class Run(NamedTuple):
@@ -48,6 +59,15 @@ class Run(NamedTuple):
     validation: list[SceneGraph]  # host graphs
     card: Card  # of the weights to come
     digests: dict[str, str]  # of the training and validation graphs
+
+
+class Called(NamedTuple):
+    """What a compiled call of several steps has come to."""
+
+    state: TrainState  # until the next call, which takes its memory
+    step: int  # of it
+    metrics: dict[str, float]  # means over the steps
+    seconds: float  # a step
 
 
 class Finished(NamedTuple):
@@ -113,6 +133,8 @@ def validate(run: Run, params: Params) -> dict[str, float]:
 def train(config: Config, directory: str | Path, accept_changes: bool = False) -> Finished:
     """Trains, or goes on training, in a run directory.
 
+    Of several processes (`distributed.initialise`) each calls this, with the same arguments.
+
     Args:
       config: the run. A directory that already holds a run must hold this one, of as many steps or
         fewer.
@@ -131,28 +153,55 @@ def train(config: Config, directory: str | Path, accept_changes: bool = False) -
     """
     directory = Path(directory)
     check(config)
-    with held(directory):
-        steps = check_same_run(directory, config)
-        run = prepare(config)
-        here = origin_of(run.digests)
-        _check_origin(directory, here, accept_changes)
-        template = init_state(config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
-        start = start_from_weights(config, template)
-        checkpoints = checkpoint.open_checkpoints(directory / "checkpoints", template)
-        try:
+    if not is_first():
+        return _take_part(config, directory)
+    with contextlib.ExitStack() as stack:
+        with together():
+            stack.enter_context(held(directory))
+            steps = check_same_run(directory, config)
+            run = prepare(config)
+            here = origin_of(run.digests)
+            _check_origin(directory, here, accept_changes)
+            template = _initial_state(run)
+            start = start_from_weights(config, template)
+            checkpoints = checkpoint.open_checkpoints(directory / CHECKPOINTS)
             kept = checkpoint.steps(checkpoints)
             step = kept[-1].step if kept else 0
             _remark_how_it_goes_on(directory, checkpoints, step, steps, config.steps)
+            _remark_idle_devices(directory, config)
             write_run(directory, config, here, step)
-            state = checkpoint.restore(checkpoints, template, step) if kept else start
-            _run(run, state, checkpoints, directory)
-            best = min(checkpoint.steps(checkpoints), key=lambda one: one.fgw)
-            params = checkpoint.restore(checkpoints, template, best.step).average
-        finally:
-            checkpoint.close(checkpoints)
-        weights = directory / "weights.npz"
-        save_weights(weights, config, run.statistics, params, run.card)
-        return Finished(weights, best.step, best.fgw)
+        step = from_first(step)
+        state = checkpoint.restore(checkpoints, template, step) if step else start
+        _run(run, state, checkpoints, directory)
+        best = from_first(min(checkpoint.steps(checkpoints), key=lambda one: one.fgw))
+        params = checkpoint.restore(checkpoints, template, best.step).average
+        save_weights(directory / WEIGHTS, config, run.statistics, params, run.card)
+        return Finished(directory / WEIGHTS, *best)
+
+
+def _take_part(config: Config, directory: Path) -> Finished:
+    """Does in every other process what the first, which has the run directory, cannot do alone."""
+    with together():
+        run = prepare(config)
+        template = _initial_state(run)
+        start = start_from_weights(config, template)
+    checkpoints = checkpoint.Checkpoints(directory / CHECKPOINTS)
+    step = from_first(0)
+    state = checkpoint.restore(checkpoints, template, step) if step else start
+    for called in calls(run, state, directory):
+        if _is_due(config, called.step):
+            with together():
+                pass  # the first process validates
+            with together():
+                checkpoint.write_state(checkpoints, called.state)
+    best = from_first(checkpoint.Kept(0, 0.0))
+    checkpoint.restore(checkpoints, template, best.step)
+    return Finished(directory / WEIGHTS, *best)
+
+
+def _initial_state(run: Run) -> TrainState:
+    """Returns the state that a run begins with, unless it starts from weights."""
+    return init_state(run.config, run.model, jax.tree.map(lambda leaf: leaf[0], run.stacks[0]))
 
 
 def _check_origin(directory: Path, here: dict[str, str], accept_changes: bool) -> None:
@@ -189,8 +238,20 @@ def _remark_how_it_goes_on(
         )
 
 
+def _remark_idle_devices(directory: Path, config: Config) -> None:
+    """Says which accelerators have nothing to do; the devices of a CPU share its cores."""
+    used, there = mesh_of(config).size, jax.device_count()
+    if used < there and jax.default_backend() != "cpu":
+        say_remark(
+            f"{directory}: trains on {used} of {there} devices, because accumulate is "
+            f"{config.accumulate}; --accumulate {there} has a batch for each"
+        )
+
+
 def start_from_weights(config: Config, state: TrainState) -> TrainState:
     """Returns the initial state, with the parameters of the weights that the run starts from.
+
+    Weights of other concepts are carried over (`transferred`).
 
     Raises:
       ValueError: they are of another method or of other sizes.
@@ -202,13 +263,17 @@ def start_from_weights(config: Config, state: TrainState) -> TrainState:
     try:
         if trained.config.method != config.method:
             raise AssertionError
-        chex.assert_trees_all_equal_shapes_and_dtypes(trained.params, state.params)
-    except AssertionError as error:
+        params = trained.params
+        if trained.config.ontology != config.ontology:
+            concepts = trained.config.ontology, config.ontology
+            params = transferred(params, concepts[0], state.params, concepts[1])
+        chex.assert_trees_all_equal_shapes_and_dtypes(params, state.params)
+    except (AssertionError, ValueError) as error:
         raise ValueError(
             f"initial: {config.initial} are weights of {trained.config.method} with other layers, "
             f"expected those of {config.method} with the widths, layers and coins of this run"
         ) from error
-    return state._replace(params=trained.params, average=trained.params)
+    return state._replace(params=params, average=params)
 
 
 def compile_calls(
@@ -223,32 +288,58 @@ def compile_calls(
         pool.shutdown(wait=False, cancel_futures=True)  # Ctrl-C waits for no compiler
 
 
+def calls(run: Run, state: TrainState, directory: Path) -> Generator[Called]:
+    """Trains from a state to the end, and yields what every compiled call has come to.
+
+    Args:
+      run: the same in every process.
+      state: likewise.
+      directory: of the run.
+
+    Raises:
+      FloatingPointError: the loss is not finite.
+    """
+    config, mesh, shares = run.config, mesh_of(run.config), shares_of(run.stacks)
+    key, stacks = on_all_devices((root_key(config.seed + 1), run.stacks), mesh)
+    step = int(state.step)
+    state = on_all_devices(jax.tree.map(jnp.copy, state), mesh)  # calls take its memory
+    train_calls = compile_calls(make_train_call(config, run.model), state, key, stacks)
+    while step < config.steps:
+        first, began = step, time.monotonic()
+        bucket = bucket_of_call(config, shares, first // config.steps_per_call)
+        state, metrics = train_calls[bucket](state, key, stacks[bucket])
+        step, values = int(state.step), {name: float(value) for name, value in metrics.items()}
+        if not np.isfinite(values["loss"] + values["gradient_norm"]):
+            raise FloatingPointError(
+                f"{directory}: the loss is {values['loss']} with gradients of norm "
+                f"{values['gradient_norm']} between steps {first} and {step}; the last good "
+                "checkpoint is untouched, try a lower learning rate"
+            )
+        yield Called(state, step, values, (time.monotonic() - began) / (step - first))
+
+
+def _is_due(config: Config, step: int) -> bool:
+    """Returns whether a run is validated and saved after a step."""
+    return step % config.validate_every == 0 or step >= config.steps
+
+
 def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, directory: Path) -> None:
-    """Trains from a state to the end, validating and saving on the way."""
-    config = run.config
-    record = writers(directory, int(state.step))
-    key, shares = root_key(config.seed + 1), shares_of(run.stacks)
-    train_calls = compile_calls(make_train_call(config, run.model), state, key, run.stacks)
-    with display(config.steps, int(state.step)) as shown:
-        while int(state.step) < config.steps:
-            first, began = int(state.step), time.monotonic()
-            bucket = bucket_of_call(config, shares, first // config.steps_per_call)
-            state, metrics = train_calls[bucket](state, key, run.stacks[bucket])
-            step, values = int(state.step), {name: float(value) for name, value in metrics.items()}
-            if not np.isfinite(values["loss"] + values["gradient_norm"]):
-                raise FloatingPointError(
-                    f"{directory}: the loss is {values['loss']} with gradients of norm "
-                    f"{values['gradient_norm']} between steps {first} and {step}; the last good "
-                    "checkpoint is untouched, try a lower learning rate"
-                )
-            seconds = (time.monotonic() - began) / (step - first)
+    """Trains from a state to the end, recording, validating and saving on the way."""
+    config, step = run.config, int(state.step)
+    record = writers(directory, step)
+    with display(config.steps, step) as shown:
+        for called in calls(run, state, directory):
+            step, seconds = called.step, called.seconds
             for write in record:
-                write("train", step, {**values, "seconds_per_step": seconds})
-            shown.advance(step, f"loss {values['loss']:.4f}  {seconds:.3f} s/step")
-            if step % config.validate_every == 0 or step >= config.steps:
-                scores = validate(run, state.average)
-                for write in record:
-                    write("validation", step, scores)
-                sync(directory / "log.jsonl")  # a checkpoint is behind all records of its steps
-                checkpoint.save(checkpoints, state, scores["fgw"])
+                write("train", step, {**called.metrics, "seconds_per_step": seconds})
+            shown.advance(step, f"loss {called.metrics['loss']:.4f}  {seconds:.3f} s/step")
+            if _is_due(config, step):
+                with together():
+                    reached = jax.tree.map(np.asarray, called.state)
+                    scores = validate(run, reached.average)
+                    for write in record:
+                        write("validation", step, scores)
+                    sync(directory / "log.jsonl")  # a checkpoint is behind all records of its steps
+                with together():
+                    checkpoint.save(checkpoints, reached, scores["fgw"])
                 shown.advance(step, "  ".join(f"{k} {v:.4f}" for k, v in scores.items()))

@@ -189,7 +189,9 @@ def params_of(config: Any, branches: dict[str, Any]) -> Params:
     """
     if not METHODS[method_of(config)].grows:
         return branches
-    return step.Params(*(branches.get(module, {}) for module in step.Params._fields))
+    absent = step.Params._field_defaults
+    modules = step.Params._fields
+    return step.Params(*(branches.get(module, absent.get(module, {})) for module in modules))
 
 
 def sampling_steps(config: Any) -> int | None:

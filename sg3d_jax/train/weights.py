@@ -225,6 +225,8 @@ def _shapes(model: Any) -> dict[str, tuple[int, ...]]:
 
 def _flat(tree: Any, path: str) -> Iterator[tuple[str, Any]]:
     """Yields the leaves of dictionaries and NamedTuples with their paths, separated by slashes."""
+    if tree is None:
+        return
     branches = tree._asdict() if hasattr(tree, "_asdict") else tree
     if not isinstance(branches, dict):
         yield path, branches
@@ -242,5 +244,6 @@ def _nested(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, Any]:
             place = tree
             for folder in folders:
                 place = place.setdefault(folder, {})
-            place[leaf] = jnp.asarray(array, jnp.float32 if array.dtype == np.float16 else None)
+            half = array.dtype == np.float16  # widened here: JAX would compile that for each shape
+            place[leaf] = jnp.asarray(array.astype(np.float32) if half else array)
     return tree

@@ -9,6 +9,7 @@ Differs: a parallel projection, so that parallel walls stay parallel and every s
 (the 3D axes of matplotlib clip large scenes and centre small ones in white).
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -18,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from sg3d_jax.io.files import replacing
 from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, undirected_edges
@@ -44,6 +46,7 @@ PICTURE_WIDTH: Final = 8.0  # inches
 CELL_WIDTH: Final = 3.0  # inches, one graph of a contact sheet
 SHEET_COLUMNS: Final = 6
 LEGEND_HEIGHT: Final = 0.6  # inches
+LEGEND_MARK, LEGEND_LETTER = 0.55, 0.09  # inches, of an entry
 CAPTION_SIZE: Final = 9  # points
 CAPTION_COLOUR: Final = "#475467"
 
@@ -225,7 +228,15 @@ def _add_legend(figure: Figure, drawn: Sequence[_Drawn]) -> None:
     handles = [handle for _, handle in sorted(present.values(), key=lambda pair: pair[0])]
     if any(part is not None for _, *confidence in drawn for part in confidence):
         handles.append(faint_handle())
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+    put_legend(figure, handles)
+
+
+def put_legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+    """Puts a legend below everything, in as many rows as it needs."""
+    letters = sum(len(f"{handle.get_label()}") for handle in handles)
+    length = LEGEND_MARK * len(handles) + LEGEND_LETTER * letters
+    columns = math.ceil(len(handles) / math.ceil(length / figure.get_figwidth()))
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def _handle(ontology: Ontology, concept: int) -> Line2D:

@@ -1,8 +1,11 @@
 """Scene graphs as one interactive page: turn it, switch layers on and off, read what nodes hold.
 
+Beside a graph in space stands its plan (`plan_page`), floor by floor.
+
 A page is one file that works offline: plotly's program (about 5 MB; its smaller bundles do not come
 with the Python package) is inside, and the page's own policy forbids it to load anything else. The
-same graphs give the same bytes. A layer is one or two traces, so that cities stay fluid.
+same graphs give the same bytes. A layer is one or two traces, so that cities stay fluid; a graph is
+read only when it is chosen, so that a page of a hundred opens like one of one.
 
 Where a confidence is given, what is unsure is faint. Then the points of a trace have colours of
 their own, of which the legend would show the first or none: its keys are traces without points.
@@ -18,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from sg3d_jax.io.files import replacing
+from sg3d_jax.io.records import KIND, kind_name
 from sg3d_jax.scene.graph import (
     Array,
     SceneGraph,
@@ -26,6 +30,7 @@ from sg3d_jax.scene.graph import (
     undirected_edges,
 )
 from sg3d_jax.scene.ontology import FEATURES, PART_OF, PROXIMITY
+from sg3d_jax.viz.plan_page import plan_of_page
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,
     FAINT,
@@ -48,7 +53,7 @@ STRIP_HEIGHT: Final = 0.5  # drawn metres; a plane is drawn as a strip around it
 STRIP_OPACITY: Final = 0.35
 NORMAL_LENGTH: Final = 0.3  # drawn metres
 FILL: Final = 1.5  # plotly's units, the height of a scene that just fits its window
-WIDE: Final = 1.6  # width of a window, in heights
+WIDE: Final = 1.1  # width of the place beside the plan, in heights
 DISTANCE: Final = 2.0  # of the camera, in sizes of the scene; without effect on what is seen
 MARGIN: Final = 0.5  # metres around a scene
 IDS_SHOWN: Final = 12
@@ -76,6 +81,8 @@ CONFIG: Final = {
     "scrollZoom": True,
     "showTips": False,
 }
+FLAT: Final = CONFIG | {"displayModeBar": False}  # of plans
+MARKS: Final = "hatched: not so in the truth; dashed: in the truth alone"
 
 
 def save_page(
@@ -86,6 +93,8 @@ def save_page(
     node_confidence: Sequence[Array | None] | None = None,
     edge_confidence: Sequence[Array | None] | None = None,
     reload: float | None = None,
+    node_names: Sequence[Sequence[int | str]] | None = None,
+    truth: Sequence[SceneGraph] | None = None,
 ) -> None:
     """Writes host graphs as one self-contained interactive HTML page.
 
@@ -99,9 +108,12 @@ def save_page(
       edge_confidence: likewise float[e], of the rows of `parts_first(graph)`.
       reload: seconds after which the page loads itself again, if it is written again and again: it
         then keeps the view; 0 for the last such page. None for a page that stays.
+      node_names: of each graph what its nodes are called, such as their ids; their rows by default.
+      truth: of each graph that of the same segments which is true: its plan is shown below, and in
+        the plan above it what differs is marked.
 
     Raises:
-      ValueError: there is nothing to show, the names are too few or too many, the graphs have
+      ValueError: there is nothing to show, names or truths are too few or too many, the graphs have
         different ontologies, so that they share no layers, a confidence is not that of so many
         nodes or edges, or the file cannot be written.
     """
@@ -111,30 +123,38 @@ def save_page(
         raise ValueError(f"{path}: there are no graphs, expected at least one to show")
     if names is None:
         names = [f"graph {index}" for index in range(len(graphs))]
-    if len(names) != len(graphs):
-        raise ValueError(f"{path}: {len(names)} names for {len(graphs)} graphs, expected one each")
+    nothing = [None] * len(graphs)
+    if node_names is None:
+        node_names = [range(len(graph.nodes.label)) for graph in graphs]
+    truths = nothing if truth is None else truth
+    for what, given in (("names", names), ("truths", truths)):
+        if len(given) != len(graphs):
+            counts = f"{len(given)} {what} for {len(graphs)} graphs"
+            raise ValueError(f"{path}: {counts}, expected one each")
     if any(ontology_of(graph) != ontology_of(graphs[0]) for graph in graphs):
         raise ValueError(f"{path}: graphs have different ontologies, expected one a page")
     used = sorted(
         {concept for graph in graphs for concept in np.unique(graph.nodes.label).tolist()}
     )
-    nothing = [None] * len(graphs)
     of_nodes = nothing if node_confidence is None else node_confidence
     of_edges = nothing if edge_confidence is None else edge_confidence
     shown = [
         {
-            "name": name,
             "counts": _counts(graph),
-            "text": hover_text(graph, *sure),
+            "text": hover_text(graph, *sure, called),
             "data": graph_traces(graph, used, *sure),
             "layout": _layout(graph),
+            "plans": _plans(graph, called, sure[0], true),
         }
-        for name, graph, *sure in zip(names, graphs, of_nodes, of_edges, strict=True)
+        for graph, called, true, *sure in zip(
+            graphs, node_names, truths, of_nodes, of_edges, strict=True
+        )
     ]
     again = {} if reload is None else {"reload": reload}
     parts = {
         "title": html.escape(title or "scene graph"),
-        "data": _script_json({"graphs": shown, "config": CONFIG, **again}),
+        "data": _script_json({"names": [*names], "config": CONFIG, "flat": FLAT, **again}),
+        "graphs": "\n".join(_script(graph) for graph in shown),
         "plotly": get_plotlyjs(),
     }
     page = resources.files("sg3d_jax.viz").joinpath("page.html").read_text(encoding="utf-8")
@@ -142,6 +162,21 @@ def save_page(
     with replacing(path) as temporary:
         text = "".join(parts[piece] if i % 2 else piece for i, piece in enumerate(pieces))
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _plans(
+    graph: SceneGraph,
+    names: Sequence[int | str],
+    node_confidence: Array | None,
+    truth: SceneGraph | None,
+) -> list[dict[str, Any]]:
+    """Returns the plan of a graph, and that of the truth below it; none of what is not seen so."""
+    plans = [plan_of_page(graph, "", names, node_confidence, truth)]
+    if truth is not None:
+        plans[0] = plans[0] and {**plans[0], "title": MARKS}
+        below = plan_of_page(truth, "truth", range(len(truth.nodes.label)))
+        plans.append(below and {**below, "text": hover_text(truth)})
+    return [plan for plan in plans if plan is not None]
 
 
 def graph_traces(
@@ -198,6 +233,7 @@ def hover_text(
     graph: SceneGraph,
     node_confidence: Array | None = None,
     edge_confidence: Array | None = None,
+    node_names: Sequence[int | str] | None = None,
 ) -> list[str]:
     """Returns what a page says about each node of a host graph, in plotly's few HTML tags.
 
@@ -205,6 +241,7 @@ def hover_text(
       graph: unpadded, metres.
       node_confidence: float[n], 0 to 1; NaN for nodes of which it is not known.
       edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
+      node_names: what nodes are called, behind the name of their concept; None for their rows.
 
     Raises:
       ValueError: a confidence is not that of so many nodes or edges.
@@ -220,7 +257,11 @@ def hover_text(
     for (child, parent), said in zip(pairs, sure, strict=True):
         children[parent][child] = said
         parents[child][parent] = said
-    names = [f"{_escaped(ontology.names[concept])} {row}" for row, concept in enumerate(label)]
+    called = range(len(label)) if node_names is None else node_names
+    names = [
+        _escaped(f"{ontology.names[concept]} {name}")
+        for concept, name in zip(label, called, strict=True)
+    ]
     numbers_first = sorted(FEATURES, key=lambda name: len(FEATURES[name]))
     texts = []
     for row, concept in enumerate(label):
@@ -229,6 +270,8 @@ def hover_text(
             if feature in ontology.concepts[concept].features:
                 value = np.asarray(getattr(graph.nodes, feature)[row])
                 shown = _vector(value) if value.ndim else f"{value:.2f}"
+                if feature == KIND:
+                    shown = kind_name(ontology.concepts[concept], float(value)) or "unknown"
                 lines.append(f"{feature} {shown}{UNITS.get(feature, '')}")
         if node_confidence is not None and not np.isnan(node_confidence[row]):
             lines.append(f"confidence {node_confidence[row]:.2f}")
@@ -427,6 +470,11 @@ def _scene(graph: SceneGraph) -> dict[str, Any]:
 
 def _by_axis(values: np.ndarray) -> dict[str, float]:
     return dict(zip("xyz", np.round(values, 6).tolist(), strict=True))
+
+
+def _script(value: object) -> str:
+    """Returns an element that holds JSON, which no browser reads before it is asked to."""
+    return f'<script class="graph" type="application/json">{_script_json(value)}</script>'
 
 
 def _script_json(value: object) -> str:

@@ -36,7 +36,7 @@ def segments(position, angle, width):
     normal = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
     position = np.concatenate([position, np.zeros((len(position), 1))], axis=-1)
     label, mask = np.zeros(len(width), int), np.ones(len(width), bool)
-    return Nodes(*(jnp.asarray(x) for x in (label, position, normal, width, mask, mask)))
+    return Nodes(*(jnp.asarray(x) for x in (label, position, normal, width, 0 * width, mask, mask)))
 
 
 def test_segment_distance__is_that_of_the_segments_of_the_planes():

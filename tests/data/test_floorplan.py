@@ -10,18 +10,19 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sg3d_jax.data import floorplan
+from sg3d_jax.data import plans
 from sg3d_jax.data.buildings import Building, city_graph
 from sg3d_jax.data.floorplan import (
     FloorplanConfig,
     facing_pairs,
+    floors_of,
     read_floors,
-    read_plans,
     repaired_rooms,
     sides_of,
     storey_of_rooms,
     tidy_rooms,
 )
+from sg3d_jax.data.plans import UNITS, read_plans, unit_of
 from sg3d_jax.scene.ontology import FLOOR
 from sg3d_jax.scene.validate import validate_graph
 
@@ -395,6 +396,58 @@ def with_poly(poly):
     return changed(rooms=[GOOD["rooms"][0], {"poly": poly}])
 
 
+# --- plans of one's own ---
+
+
+@pytest.mark.parametrize("unit", ["m", "cm", "mm"])
+def test_rooms_tell_in_which_unit_they_are_drawn(tmp_path, unit):
+    drawn = floor([room / UNITS[unit] for room in (box(0, 0, 4, 3), box(4, 0, 8, 3))])
+    path = write(tmp_path / "a.jsonl", drawn)
+    found, scale = unit_of(read_plans(path, own=True))
+    assert (found, scale) == (unit, UNITS[unit])
+    ((own,), left_out), ((same,), _) = (
+        floors_of(read_plans(path, own=True), scale),
+        read_floors(write(tmp_path / "b.jsonl", GOOD)),
+    )
+    assert left_out == []
+    np.testing.assert_allclose(own.storey.plane, same.storey.plane, atol=1e-9)
+    np.testing.assert_allclose(own.storey.width, same.storey.width, atol=1e-9)
+    assert own.rooms == ("OFFICE", "OFFICE")
+
+
+@pytest.mark.parametrize(
+    ("units", "scale"), [("ft", 0.3048), ("0.02", 0.02), ("mm", 0.001), ("in", 0.0254)]
+)
+def test_the_unit_may_be_said(units, scale):
+    assert unit_of([], units)[1] == scale
+
+
+@pytest.mark.parametrize("units", ["px", "-1", "nan", "1e9", ""])
+def test_what_is_no_unit_is_refused(units):
+    with pytest.raises(ValueError, match=r"units are '.*', expected m, cm, mm, ft, in, or metres"):
+        unit_of([], units)
+
+
+def test_pixels_are_refused_for_nobody_could_tell_them(tmp_path):
+    drawn = floor([25 * box(0, 0, 4, 3), 25 * box(4, 0, 8, 3)])
+    found = read_plans(write(tmp_path / "a.jsonl", drawn), own=True)
+    with pytest.raises(ValueError, match="the median room has 7500 square units, which may be in"):
+        unit_of(found)
+
+
+def test_a_bad_room_of_one_s_own_plan_costs_that_room_and_the_reason_is_said(tmp_path):
+    drawn = floor([box(0, 0, 4, 3), box(4, 0, 4.05, 3), box(4.05, 0, 8, 3)])
+    drawn["rooms"].insert(1, {"poly": [[0, 0], [1, 1]]})
+    drawn["rooms"][3]["name"] = "kitchen"
+    ((own,), left_out) = floors_of(read_plans(write(tmp_path / "a.jsonl", drawn), own=True), 1.0)
+    assert len(own.storey.room_centre) == 2
+    assert own.rooms == ("OFFICE", "kitchen")
+    assert left_out == [
+        "office/a storey 0: rooms[1].poly has 2 different corners, expected at least 3",
+        "office/a storey 0: rooms[2] is in places narrower than 0.12 m, expected one piece",
+    ]
+
+
 BROKEN = {
     "no 'building'": {key: GOOD[key] for key in ("storey", "rooms")},
     "no 'storey'": {key: GOOD[key] for key in ("building", "rooms")},
@@ -452,7 +505,7 @@ def test_a_wrong_file_is_refused_with_one_sentence(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["a.jsonl", "a.jsonl.gz"])
 def test_a_file_is_refused_before_it_fills_the_memory(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(floorplan, "MAX_BYTES", 2000)
+    monkeypatch.setattr(plans, "MAX_BYTES", 2000)
     content = b" " * 100_000 + TEXT
     (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith("gz") else content)
     with pytest.raises(ValueError, match=rf"{name}: the file is too large, expected 2000 bytes"):
@@ -489,10 +542,10 @@ def test_a_missing_file_is_refused(tmp_path, name):
 
 @pytest.mark.skipif(not REAL.exists(), reason="needs the real floor plans, which are not shipped")
 def test_real_floor_plans():
-    plans = read_plans(REAL)
-    assert len(plans) == 1339
-    for plan in plans[::12]:
+    drawn = read_plans(REAL)
+    assert len(drawn) == 1339
+    for plan in drawn[::12]:
         storey = storey_of_rooms(plan.rooms)
         validate_graph(city_graph([Building((storey,), (0.0,))], FLOOR), plan.origin)
-    found = [assert_walls_are_where_rays_meet(plan.rooms) for plan in plans[70::100]]
+    found = [assert_walls_are_where_rays_meet(plan.rooms) for plan in drawn[70::100]]
     assert min(found) > 0

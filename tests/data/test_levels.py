@@ -17,7 +17,7 @@ from sg3d_jax.data.levels import (
     num_nodes,
 )
 from sg3d_jax.data.splits import split_groups
-from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PLANE
+from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, PLANE, ROOM
 from sg3d_jax.scene.validate import validate_graph
 
 
@@ -47,7 +47,7 @@ def of_label(graph, concept):
 
 @pytest.mark.parametrize("name", LEVELS)
 def test_scenes_are_sound_and_each_has_a_part_and_an_origin(name):
-    graphs, parts, origins = IMPORTED[name]
+    graphs, parts, origins, _ = IMPORTED[name]
     assert len(graphs) == len(parts) == len(origins) > 15
     for graph, origin in zip(graphs, origins, strict=True):
         validate_graph(graph, origin)
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_scenes_and_another_gives_others(name):
 
 def test_no_building_is_in_two_parts_at_whatever_level():
     parts_of = {}
-    for _, parts, origins in IMPORTED.values():
+    for _, parts, origins, _ in IMPORTED.values():
         for part, origin in zip(parts, origins, strict=True):
             for building in re.findall(r"b\d+", origin):
                 parts_of.setdefault(building, set()).add(part)
@@ -119,7 +119,7 @@ def test_a_city_has_a_building_of_two_storeys_and_one_of_one_or_two():
     by_origin = {floor.origin: floor for floor in FLOORS}
     kept = [floor for floor in FLOORS if num_nodes(floor.storey) <= MAX_NODES[CITY]]
     assert len(kept) == len(FLOORS) - 2
-    graphs, _, origins = IMPORTED["city"]
+    graphs, _, origins, _ = IMPORTED["city"]
     num_extra = []
     for floor, graph, origin in zip(kept, graphs, origins, strict=True):
         pattern = r"(.*) \(x 2\) and (.*) \(x (1|2)\)"
@@ -151,9 +151,29 @@ def test_a_city_needs_two_floors_in_each_part():
 
 
 @pytest.mark.parametrize("scenes", [floor_scenes, building_scenes, city_scenes])
-def test_too_few_buildings_are_refused(scenes):
-    with pytest.raises(ValueError, match="at least 5"):
-        scenes(FLOORS[:6])
+def test_floors_of_few_buildings_are_all_for_test(scenes):
+    graphs, parts, _, _ = scenes(FLOORS[:2])
+    assert len(graphs) == 2
+    assert parts == ["test"] * 2
+    with pytest.raises(ValueError, match="there are no floors, expected at least one"):
+        scenes([])
+
+
+def test_names_are_those_of_the_rooms_floors_and_buildings():
+    called = [("hall", None), ("kitchen", "bath")]
+    floors = [floor._replace(rooms=names) for floor, names in zip(FLOORS[:2], called, strict=True)]
+    (graph, other), _, _, (names, others) = city_scenes(floors)
+    for scene, said, rooms in ((graph, names, ["hall"]), (other, others, ["kitchen", "bath"])):
+        label = scene.nodes.label
+        of = {
+            concept: [said[row] for row in np.flatnonzero(label == concept) if row in said]
+            for concept in (ROOM, FLOOR, BUILDING, CITY)
+        }
+        assert of[ROOM][: 2 * len(rooms)] == 2 * rooms  # of two storeys
+        assert of[BUILDING] == ["b0", "b0"]
+        assert of[CITY] == []
+        assert len(of[FLOOR]) == count(scene, FLOOR)
+        assert sum(map(len, of.values())) == len(said)
 
 
 def test_floors_that_are_all_too_large_are_refused():

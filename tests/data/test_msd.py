@@ -97,6 +97,27 @@ def read_one(tmp_path, drawn):
     return floors[0].storey
 
 
+def test_the_table_of_swiss_dwellings_is_the_same_apartment(tmp_path):
+    raw = {"Corridor": "CORRIDOR", "Bedroom": "ROOM", "Livingroom": "LIVING_DINING"}
+    raw |= {"Balcony": "TERRACE", "Structure": "WALL", "Entrance Door": "ENTRANCE_DOOR"}
+    sink = rows([("Kitchen", shapely.box(1, 1, 1.5, 1.5))])[0] | {"entity_type": "feature"}
+    text = table(rows(APARTMENT), [sink])
+    lines = list(csv.DictReader(io.StringIO(text)))
+    for line in lines:
+        kind = line.pop("roomtype")
+        line["entity_subtype"] = raw.get(kind, kind.upper())
+        line["geometry"] = line.pop("geom")
+    with (tmp_path / "geometries.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(lines[0]))
+        writer.writeheader()
+        writer.writerows(lines)
+    (floor,), left_out = read_floors(tmp_path / "geometries.csv")
+    assert left_out == []
+    assert floor.rooms == ("Corridor", "Bedroom", "Livingroom", "Balcony")
+    for one, other in zip(floor.storey, read_one(tmp_path, APARTMENT), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def why_left_out(tmp_path, drawn):
     floors, (reason,) = read_floors(write(tmp_path, rows(drawn)))
     assert floors == []
@@ -280,7 +301,7 @@ def test_reading_ends_with_the_floor_that_reaches_the_limit(tmp_path, limit, exp
 @pytest.mark.parametrize("name", LEVELS)
 def test_apartments_are_stacked_like_any_floors(tmp_path, name):
     floors, _ = read_floors(write(tmp_path, *city()))
-    graphs, parts, origins = LEVELS[name](floors, rotate=False)
+    graphs, parts, origins, _ = LEVELS[name](floors, rotate=False)
     assert len(graphs) == len(floors)
     assert set(parts) == {"train", "validation", "test"}
     for graph, origin in zip(graphs, origins, strict=True):

@@ -1,6 +1,7 @@
 """Data sets by name, from a user's file, and by path."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,9 @@ from sg3d_jax import cli
 from sg3d_jax.data import registry
 from sg3d_jax.data.splits import split_of
 from sg3d_jax.io import npz
-from sg3d_jax.io.formats import write_graphs
+from sg3d_jax.io.formats import read_with_attributes, write_graphs
 from sg3d_jax.scene.graph import ontology_of
-from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
+from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM
 from sg3d_jax.scene.validate import validate_graph
 from tests.own_world import ONTOLOGY, own_world
 
@@ -28,7 +29,8 @@ def test_the_nine_data_sets_of_the_paper_are_there():
 def test_every_generated_data_set_is_sound_and_has_its_levels(name):
     for graph in registry.make(name, num_graphs=3):
         validate_graph(graph, name)
-        held = {PAPER_ONTOLOGY.names[label] for label in graph.nodes.label}
+        assert ontology_of(graph) == registry.get(name).ontology
+        held = {ontology_of(graph).names[label] for label in graph.nodes.label}
         assert held <= {*registry.get(name).levels}
         assert registry.get(name).levels[-1] in held
 
@@ -128,9 +130,9 @@ def test_an_import_is_refused_with_the_file_and_what_was_left_out(tmp_path):
     room = {"poly": [[0, 0], [4, 0], [4, 3], [0, 3]]}
     plans = [{"building": f"b{i}", "storey": 0, "rooms": [room]} for i in range(6)]
     path.write_text("\n".join(map(json.dumps, plans)))
-    with pytest.raises(ValueError, match="at least 5 groups of graphs, got 0") as caught:
+    with pytest.raises(ValueError, match="there are no floors, expected at least one") as caught:
         registry.import_file("p-f", path)
-    assert str(caught.value).startswith(f"{path}: a split needs")
+    assert str(caught.value).startswith(f"{path}: there are no floors")
     assert str(caught.value).endswith(
         "; 6 are left out, first b0 storey 0: there are 1 rooms, expected at least 2"
     )
@@ -270,7 +272,9 @@ def test_a_file_is_read_as_those_of_the_set_that_it_is_like(tmp_path):
         for i in range(6)
     ]
     (tmp_path / "plans.jsonl").write_text("\n".join(lines))
-    graphs, header = registry.import_file("offices", tmp_path / "plans.jsonl", 3, like="p-f")
+    graphs, header = registry.import_file(
+        "offices", tmp_path / "plans.jsonl", 3, like="p-f", turn=True
+    )
     expected, theirs = registry.import_file("p-f", tmp_path / "plans.jsonl", 3)
     for one, other in zip(graphs, expected, strict=True):
         np.testing.assert_array_equal(one.nodes.position, other.nodes.position)
@@ -279,6 +283,28 @@ def test_a_file_is_read_as_those_of_the_set_that_it_is_like(tmp_path):
         assert header[key] == theirs[key]
     with pytest.raises(ValueError, match="no key that tells what it is"):
         registry.import_file("offices", tmp_path / "plans.jsonl")
+
+
+def test_one_s_own_floor_is_imported_as_it_stands_and_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rooms = [[[x, 0], [x + 3000, 0], [x + 3000, 4000], [x, 4000]] for x in (0, 3100, 6200)]
+    drawn = [{"poly": room, "name": f"room {i}"} for i, room in enumerate(rooms)]
+    drawn.append({"poly": []})
+    Path("plan.jsonl").write_text(json.dumps({"building": "home", "storey": 1, "rooms": drawn}))
+    cli.main(["data", "import", "home", "plan.jsonl", "-o", "home.npz", "--like", "p-f"])
+    said = capsys.readouterr().out
+    for sentence in ("taken to be in mm", "all for test", "left out home storey 1: rooms[3].poly"):
+        assert sentence in said
+    cli.main(["export", "home.npz", "-o", "home.json"])
+    (read,) = read_with_attributes("home.json")
+    names = [held.get("name") for held in read.attributes]
+    label = read.graph.nodes.label
+    assert [name for name in names if name] == [*(f"room {i}" for i in range(3)), "home storey 1"]
+    assert [int(label[row]) for row, name in enumerate(names) if name] == [ROOM] * 3 + [FLOOR]
+    assert set(np.abs(read.graph.nodes.normal[label == PLANE]).ravel().tolist()) == {0, 1}
+    for arguments in (("p-f", "plan.jsonl", 0, None, "mm"), ("home", "plan.jsonl", 0, None, "mm")):
+        with pytest.raises(ValueError, match="units is for floor plans of one's own"):
+            registry.import_file(*arguments)
 
 
 def test_a_set_like_one_for_test_only_is_for_test_only_and_its_top_is_checked(tmp_path):

@@ -67,15 +67,24 @@ def test_growing__ends_for_each_of_its_reasons(model, params, max_steps, reason)
             assert num_new in (ROOM_FOR.nodes // 3 - 1, ROOM_FOR.nodes // 3)
 
 
-def test_a_batch__is_a_loop_over_its_scenes():
-    scenes = [observed_of(SCENE), first_planes(5), KNOWN]
-    keys, scenes = jax.random.split(jax.random.key(3), 3), stack(scenes, ROOM_FOR)
-    steps = jnp.asarray([0, 1, 0])
-    batch = grow_lanes(MODEL, stop_at(12), keys, scenes, steps, 50, True)
-    for index in range(3):
-        key, scene, before = jax.tree.map(lambda leaf, i=index: leaf[i], (keys, scenes, steps))
-        one = growing(MODEL, stop_at(12), key, scene, 50, True, before)
-        chex.assert_trees_all_equal(jax.tree.map(lambda leaf, i=index: leaf[i], batch), one)
+@pytest.mark.parametrize("lanes", [None, 2])
+def test_a_batch__is_a_loop_over_its_scenes(lanes):
+    """However many there are side by side; what has had all its steps only fills the batch."""
+    scenes = [observed_of(SCENE), first_planes(5), KNOWN, first_planes(5)]
+    keys, scenes = jax.random.split(jax.random.key(3), 4), stack(scenes, ROOM_FOR)
+    steps = jnp.asarray([0, 1, 0, 50])
+    batch = grow_lanes(MODEL, stop_at(12), keys, scenes, steps, 50, True, lanes)
+    for index in range(4):
+        key, scene, before, found = jax.tree.map(
+            lambda leaf, i=index: leaf[i], (keys, scenes, steps, batch)
+        )
+        if before == 50:
+            assert (found.halt_reason, found.steps) == (MAX_STEPS, 50)
+            assert_begins_with(found.graph, scene)
+            assert int(found.graph.n_node[0]) == 5
+        else:
+            one = growing(MODEL, stop_at(12), key, scene, 50, True, before)
+            chex.assert_trees_all_equal(found, one)
 
 
 def test_every_step__has_randomness_of_its_own():

@@ -1,9 +1,11 @@
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
 import numpy.testing as npt
 import pytest
+from jax.sharding import Mesh
 
 from sg3d_jax.flagg.grow import CAPACITY, HALTED, MAX_STEPS
 from sg3d_jax.infer import lanes
@@ -36,11 +38,18 @@ def _no_check_of_key_reuse():
         yield
 
 
-def completed(scenes, params, seed=0, samples=1, max_steps=50, **options):
+def each(scenes, params, seed=0, samples=1, max_steps=50, begun=(), **options):
+    def course(scene):
+        if isinstance(begun, list):
+            begun.append(len(scene.given.nodes.label))
+        return (yield range(samples))
+
     prepared = prepare(scenes, PAPER_ONTOLOGY, options.pop("keep", False))
-    draws = [(scene, sample) for scene in range(len(scenes)) for sample in range(samples)]
-    drawn = complete_lanes(MODEL, params, prepared, draws, seed, max_steps, **options)
-    return [drawn[first : first + samples] for first in range(0, len(drawn), samples)]
+    return complete_lanes(MODEL, params, prepared, course, seed, max_steps, **options)
+
+
+def completed(*args, **options):
+    return list(each(*args, **options))
 
 
 def assert_same(one, other):
@@ -50,64 +59,104 @@ def assert_same(one, other):
     npt.assert_array_equal(*(undirected_edges(each.graph, PART_OF) for each in (one, other)))
 
 
+def assert_all_same(found, expected):
+    for samples, others in zip(found, expected, strict=True):
+        for one, other in zip(samples, others, strict=True):
+            assert_same(one, other)
+
+
 def test_results_depend_neither_on_the_number_of_lanes_nor_on_that_of_threads(monkeypatch):
+    """Nor on the devices that batches are dealt to."""
     threads = set()
-    run = lanes._run
+    run = lanes._Runner.run
 
     def noted(*arguments):
         threads.add(threading.get_ident())
         return run(*arguments)
 
-    monkeypatch.setattr(lanes, "_run", noted)
+    monkeypatch.setattr(lanes._Runner, "run", noted)
     monkeypatch.setattr(lanes, "num_workers", lambda: 3)
     expected = completed(PARTS, stop_at(11), samples=2)
     assert len(threads - {threading.get_ident()}) > 1
     monkeypatch.setattr(lanes, "num_workers", lambda: 1)
-    for width in (None, 7):
-        found = completed(PARTS, stop_at(11), samples=2, lanes=width)
-        for samples, others in zip(found, expected, strict=True):
-            for one, other in zip(samples, others, strict=True):
-                assert_same(one, other)
+    # Of the six jobs of the larger bucket each device has three, for two lanes and eight places.
+    mesh = Mesh(np.array(jax.devices()[:2]), ("lanes",))
+    monkeypatch.setattr(lanes, "lane_mesh", lambda: mesh)
+    assert_all_same(completed(PARTS, stop_at(11), samples=2, lanes=2), expected)
+
+
+def test_parts_of_a_list_are_completed_as_in_the_whole_of_it():
+    whole = completed(PARTS, stop_at(11))
+    assert_all_same(completed(PARTS[2:4], stop_at(11), numbers=range(2, 4)), whole[2:4])
+
+
+def test_results_come_while_only_some_are_begun(monkeypatch):
+    begun = []
+    monkeypatch.setattr(lanes, "num_workers", lambda: 1)
+    monkeypatch.setattr(lanes, "BEGUN", 2)
+    results = each(PARTS, stop_at(11), begun=begun)
+    assert begun == []
+    for count, (one,) in enumerate(results, 1):
+        assert begun == [8, 5, 3, 2, 7][: count + 1]
+        assert np.sum(one.graph.nodes.observed) == begun[count - 1]
+
+
+def test_a_scene_is_asked_again_until_it_has_enough():
+    told = []
+
+    def course(scene):
+        told.append((yield [0]))
+        told.append((yield [2, 1]))
+        return "enough"
+
+    prepared = prepare(PARTS[:1], PAPER_ONTOLOGY, False)
+    assert list(complete_lanes(MODEL, stop_at(11), prepared, course, 0, 50)) == ["enough"]
+    ((first, second, third),) = completed(PARTS[:1], stop_at(11), samples=3)
+    assert_all_same(told, [[first], [third, second]])
 
 
 def test_all_threads_use_the_device_of_the_caller():
     """And what else JAX is told of one thread alone."""
     with jax.default_device(jax.devices()[1]):
-        devices = lanes._side_by_side(lambda _: [jax.config.jax_default_device], [[]] * 4, True)
-    assert devices == [[jax.devices()[1]]] * 4
+        run = lanes._as_here(lambda: jax.config.jax_default_device)
+    with ThreadPoolExecutor() as pool:
+        assert pool.submit(run).result() == jax.devices()[1]
 
 
-def test_the_first_batch_runs_alone_until_its_program_is_compiled(monkeypatch):
-    asked = []
-    run = lanes._side_by_side
+def test_a_program_is_compiled_once_while_others_are_compiled_beside_it(monkeypatch):
+    both, lock = threading.Barrier(2, timeout=60), threading.Lock()
+    run, active = lanes._Runner.run, []
 
-    def noted(*arguments, first_alone):
-        asked.append(first_alone)
-        return run(*arguments, first_alone=first_alone)
+    def noted(runner, capacity, jobs):
+        if runner.program(capacity) not in lanes._programs:
+            with lock:
+                assert capacity not in active
+                active.append(capacity)
+            both.wait()  # the other bucket is begun, too
+        return run(runner, capacity, jobs)
 
-    monkeypatch.setattr(lanes, "_side_by_side", noted)
+    monkeypatch.setattr(lanes._Runner, "run", noted)
     monkeypatch.setattr(lanes, "_programs", set())
-    for _ in range(2):
-        completed(PARTS, stop_at(11))
-    assert asked == [True, True, False, False]  # of two buckets
-    here = threading.get_ident()
-    told = run(lambda _: [threading.get_ident()], [[]] * 3, first_alone=True)
-    assert [one == here for (one,) in told] == [True, False, False]
+    monkeypatch.setattr(lanes, "num_workers", lambda: 2)
+    completed(PARTS, stop_at(11))
+    assert sorted(capacity.nodes for capacity in active) == [16, 24]
+    monkeypatch.setattr(lanes, "growth_capacity", lambda *_: Capacity(24, 288))
+    completed(PARTS, stop_at(11))
+    assert len(active) == 2
 
 
 def test_what_goes_wrong_in_a_thread_is_told_and_nothing_more_is_begun(monkeypatch):
     monkeypatch.setattr(lanes, "num_workers", lambda: 1)
     begun = []
 
-    def run(batch):
-        begun.append(batch)
-        if len(begun) == 2:
-            raise KeyboardInterrupt
-        return []
+    def run(runner, capacity, jobs):
+        begun.append(jobs)
+        raise KeyboardInterrupt
 
+    monkeypatch.setattr(lanes._Runner, "run", run)
     with pytest.raises(KeyboardInterrupt):
-        lanes._side_by_side(run, [[number] for number in range(50)], first_alone=True)
-    assert len(begun) < 10
+        completed(PARTS[:1] * 50, stop_at(11))
+    assert len(begun) <= 2
 
 
 def test_a_graph_that_does_not_fit_goes_on_in_the_next_bucket():
@@ -155,11 +204,15 @@ def test_a_partial_graph_has_room_for_what_is_given():
 def test_small_buckets_have_more_lanes_on_a_device_that_is_no_cpu(monkeypatch):
     capacities = [Capacity(nodes, 12 * nodes) for nodes in NODE_CAPACITIES]
     assert {num_lanes(capacity) for capacity in capacities} == {1}
+    assert lanes.lane_mesh() is None
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     widths = [num_lanes(capacity) for capacity in capacities]
     assert widths == sorted(widths, reverse=True)
     assert (widths[0], widths[-1]) == (256, 16)
-    assert lanes.num_workers() == 1
+    assert lanes.num_workers() == 4
+    assert lanes.lane_mesh().size == len(jax.local_devices())
+    with jax.default_device(jax.devices()[0]):
+        assert lanes.lane_mesh() is None
 
 
 def test_keys_depend_on_scene_and_sample_alone():

@@ -23,6 +23,9 @@ def graphs():
     return registry.make("s-f", NUM_GRAPHS - cities) + registry.make("s-c", cities)
 
 
+EXACT = [to for to in FORMATS if to != "s-graphs"]  # messages have points, and only some concepts
+
+
 def assert_same(graph, expected):
     for one, other in zip(graph.nodes, expected.nodes, strict=True):
         assert one.dtype == other.dtype
@@ -73,7 +76,7 @@ def test_one_graph_has_a_file_of_its_own_and_keeps_what_else_is_said(graphs, to,
     assert_same(graph, graphs[0])
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXACT)
 def test_planes_are_read_off_graphs_of_every_format(graphs, to, tmp_path):
     path = tmp_path / f"graph{SUFFIX.get(to, '.json')}"
     write_graphs(path, graphs[:1], to)

@@ -214,8 +214,6 @@ def cyclic():
     ("graph", "sentence"),
     [
         (networkx.Graph(), "nodes is empty, expected"),
-        (networkx.MultiGraph(), "the graph is a multigraph, expected"),
-        (joined(to_networkx(one_room()).to_directed(), 0, 1), r"edge \[0, \d\] is there twice"),
         (changed(authors_graph(), 7, "type"), "node 7 lacks both 'concept' and 'type', exp"),
         (changed(authors_graph(), 7, type="attic"), "node 7: type is 'attic', expected one of"),
         (changed(authors_graph(), 7, type=["ws"]), r"node 7: type is \['ws'\], expected one of"),
@@ -259,7 +257,6 @@ def broken(change):
         ([], r"there is \[\], expected an object"),
         ({"nodes": []}, "there is no list 'edges'"),
         ({"edges": []}, "there is no list 'nodes'"),
-        (broken(lambda d: d.update(multigraph=True)), "multigraph is true"),
         (broken(lambda d: d.update(links=[{}])), "there are both edges and links, expected either"),
         (broken(lambda d: d.update(links=[{}], edges=[])), "both edges and links, expected either"),
         (broken(lambda d: d["nodes"].append(3)), r"nodes\[5\] is 3, expected an object with id"),
@@ -314,4 +311,5 @@ def test_a_corrupted_document_is_refused_or_means_what_it_says(data):
         again = graph_to_node_link(graph)
         said = np.array([node["pos"] for node in document["nodes"]], np.float64)
         npt.assert_array_equal([node["pos"] for node in again["nodes"]], said)
-        assert len(again["edges"]) == len(document["edges"])
+        ends = [frozenset((edge["source"], edge["target"])) for edge in document["edges"]]
+        assert len(again["edges"]) == len(set(ends))  # both directions of an edge are one

@@ -23,6 +23,7 @@ from sg3d_jax.scene.validate import validate_graph
 from tests.own_world import FLAT, ONTOLOGY, PILLAR, PLANE, own_world
 
 SUFFIX = {"graphml": ".graphml", "npz": ".npz"}  # of a file with one graph; .json for the others
+EXACT = [to for to in FORMATS if to != "s-graphs"]  # messages are of the paper's concepts
 
 
 def assert_same_graph(left, right):
@@ -43,7 +44,7 @@ def test_the_world_of_these_tests_is_sound():
     assert np.bincount(own_world().nodes.label).tolist() == [12, 2, 1, 3, 2, 1]
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXACT)
 @pytest.mark.parametrize("graph", [own_world(), mixed()], ids=["sorted", "mixed"])
 def test_a_graph_and_its_ontology_survive_every_format(tmp_path, graph, to):
     path = tmp_path / f"a{SUFFIX.get(to, '.json')}"
@@ -162,9 +163,9 @@ def test_layers_letters_and_colours_are_those_of_the_ontology():
     made = graph_to_spark_dsg(own_world())
     layers = [concept.layer for concept in ONTOLOGY.concepts]
     assert [*made["layer_names"]] == layers
-    assert [key["layer"] for key in made["layer_keys"]] == [2, 3, 4, 5, 6, 7]
+    assert [key["layer"] for key in made["layer_keys"]] == [2, 2, 2, 5, 6, 7]
     pillar, flat = made["nodes"][12], made["nodes"][18]
-    assert (pillar["layer"], chr(pillar["id"] >> 56)) == (3, "i")
+    assert (pillar["layer"], chr(pillar["id"] >> 56)) == (2, "i")
     assert (flat["layer"], chr(flat["id"] >> 56)) == (6, "A")
     assert flat["attributes"]["name"] == "flat 18"
     assert flat["attributes"]["color"] == {"r": 0xDB, "g": 0x27, "b": 0x77, "a": 255}
@@ -219,7 +220,7 @@ def test_a_whole_of_another_concept_in_metadata_is_refused():
 
 
 def test_what_is_observed_is_read_off_a_graph_of_every_format(tmp_path):
-    for to in FORMATS:
+    for to in EXACT:
         path = tmp_path / f"a{SUFFIX.get(to, '.json')}"
         write_graphs(path, [own_world()], to)
         (read,) = read_planes(path)

@@ -284,3 +284,39 @@ def test_a_broken_scene_is_refused(tmp_path, scene, sentence):
 def test_a_document_without_planes_is_refused(scene, sentence):
     with pytest.raises(ValueError, match=re.escape(sentence)):
         planes_from_dict(scene, "here")
+
+
+LIST = "x;y;direction x;direction y;length;room\n1;2;0;1;3.5;hall\n1;4;0;-1;3;\n"
+
+
+def test_columns_may_have_other_names_and_a_plan_needs_no_heights(tmp_path):
+    (tmp_path / "a.csv").write_text(LIST)
+    names = {"x": "cx", "y": "cy", "direction x": "nx", "direction y": "ny", "length": "width"}
+    (read,) = read_with_attributes(tmp_path / "a.csv", names)
+    nodes = read.graph.nodes
+    assert nodes.position.tolist() == [[1, 2, 0], [1, 4, 0]]
+    assert nodes.normal.tolist() == [[0, 1, 0], [0, -1, 0]]
+    assert nodes.width.tolist() == [3.5, 3]
+    assert read.attributes == [{"room": "hall"}, {}]
+    assert read.remarks == ("has no column cz and nz, taken to be 0",)
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        ({"X": "cx"}, "there is no column 'X', expected of x,y,direction x"),
+        ({"x": "X"}, "column 'x' is to be 'X', expected one of cx, cy"),
+        ({"x": "cx"}, "missing column 'cy', expected cx,cy"),
+        ({"x": "cx", "y": "cx"}, "missing column 'cy'"),
+    ],
+)
+def test_names_that_do_not_fit_are_refused(columns, sentence, tmp_path):
+    (tmp_path / "a.csv").write_text(LIST)
+    with pytest.raises(ValueError, match=sentence):
+        read_with_attributes(tmp_path / "a.csv", columns)
+
+
+def test_only_a_table_has_columns(tmp_path):
+    (tmp_path / "a.json").write_text('{"planes": []}')
+    with pytest.raises(ValueError, match=r"columns are named, expected a \.csv file"):
+        read_with_attributes(tmp_path / "a.json", {"x": "cx"})

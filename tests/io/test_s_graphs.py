@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sg3d_jax.data import synthetic
+from sg3d_jax.io.formats import read_with_attributes, write_graphs
 from sg3d_jax.io.s_graphs import (
     AXES,
     graph_from_messages,
@@ -19,6 +20,7 @@ from sg3d_jax.io.s_graphs import (
     planes_from_message,
     planes_to_message,
     read_message,
+    read_messages,
 )
 from sg3d_jax.scene.graph import make_graph, observed_of, undirected_edges
 from sg3d_jax.scene.ontology import BUILDING, FEATURES, FLOOR, PART_OF, PLANE, ROOM, WALL
@@ -172,6 +174,29 @@ def test_a_robot_s_messages_give_a_whole_graph():
     pairs = [[0, 9], [1, 9], [2, 8], [2, 9], [3, 9], [4, 8], [4, 10], *[[i, 10] for i in (5, 6, 7)]]
     npt.assert_array_equal(undirected_edges(graph, PART_OF), [*pairs, [9, 11], [10, 11]])
     npt.assert_allclose(graph.nodes.position[8:11, :2], [[2.1, 0.2], [0, 0], [3.7, 0.5]])
+
+
+def test_ids_of_a_map_are_those_of_its_messages_unless_two_are_the_same():
+    messages = copy.deepcopy(MESSAGES)
+    messages["rooms"]["rooms"][0]["id"] = 100  # the other room is called as a floor is
+    read = read_messages(messages)
+    ids = [held.get("id") for held in read.attributes]
+    planes = sorted(p["id"] for axis in AXES for p in messages["planes"][axis] if p["plane_points"])
+    assert ids == [*planes, 0, 100, None, None]
+
+
+def test_a_map_is_one_json_and_comes_back_as_its_messages(tmp_path):
+    (tmp_path / "map.json").write_text(json.dumps(MESSAGES))
+    (read,) = read_with_attributes(tmp_path / "map.json")
+    said = {"attributes": [read.attributes]}
+    write_graphs(tmp_path / "a.json", [read.graph], "s-graphs", **said)
+    made = json.loads((tmp_path / "a.json").read_text())
+    assert set(made) == {"planes", "walls", "rooms", "floors"}
+    (again,) = read_with_attributes(tmp_path / "a.json")
+    assert_close(again.graph, read.graph)
+    assert [held for held in read.attributes if held] == [
+        held for held, old in zip(again.attributes, read.attributes, strict=True) if old
+    ]
 
 
 def test_only_the_planes_are_required():

@@ -8,7 +8,7 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import synthetic
-from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs
+from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs, write_into
 from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg, read_spark_dsg
 from sg3d_jax.scene.graph import features_of, make_graph, parts_first, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import (
@@ -84,7 +84,8 @@ def test_edges_that_break_the_hierarchy_survive():
 
 def test_every_concept_is_a_layer_and_every_symbol_a_letter_and_a_row():
     nodes = graph_to_spark_dsg(city())["nodes"]
-    assert [node["layer"] for node in nodes] == [2, 2, 2, 2, 3, 4, 4, 5, 6, 7]
+    assert [node["layer"] for node in nodes] == [2, 2, 2, 2, 2, 4, 4, 5, 6, 7]
+    assert [node["partition"] for node in nodes] == [*[ord("p")] * 4, ord("w"), *[0] * 5]
     symbols = [(chr(node["id"] >> 56), node["id"] & (2**56 - 1)) for node in nodes]
     assert symbols == list(zip("ppppwRRFBC", range(10), strict=True))
     assert nodes[6]["attributes"]["name"] == "room 6"
@@ -96,10 +97,18 @@ def test_parents_come_first_in_edges():
     layer = {node["id"]: node["layer"] for node in made["nodes"]}
     for edge in made["edges"]:
         if edge["info"]["metadata"]["relation"] == "part_of":
-            assert layer[edge["source"]] > layer[edge["target"]]
+            assert layer[edge["source"]] >= layer[edge["target"]]
 
 
-def test_walls_in_metadata_leave_every_node_at_most_one_parent():
+def test_every_node_has_one_parent_in_a_layer_further_up_and_walls_are_no_parents():
+    made = graph_to_spark_dsg(city())
+    layer = {node["id"]: node["layer"] for node in made["nodes"]}
+    parents = [e["target"] for e in made["edges"] if layer[e["source"]] > layer[e["target"]]]
+    ids = [node["id"] for node in made["nodes"]]
+    assert sorted(parents) == sorted(ids[:4] + ids[5:9])
+
+
+def test_walls_in_metadata_are_no_edges():
     made = graph_to_spark_dsg(city(), "metadata")
     part_of = [e for e in made["edges"] if e["info"]["metadata"]["relation"] == "part_of"]
     children = [edge["target"] for edge in part_of]
@@ -205,9 +214,11 @@ def test_their_library_sees_the_same_graph(tmp_path, walls):
         assert attributes.is_predicted == (graph.nodes.label[row] != PLANE)
     assert loaded.num_edges() == len(written["edges"])
     assert loaded.get_node(ids[6]).get_parent() == ids[7]
-    assert loaded.get_node(ids[1]).has_parent() == (walls == "metadata")
+    rooms = [loaded.get_node(name).get_parent() for name in ids[:4]]
+    assert rooms == [ids[5], ids[5], ids[6], ids[6]]
     assert set(loaded.get_node(ids[7]).children()) == {ids[5], ids[6]}
     assert set(loaded.get_node(ids[0]).siblings()) == {ids[1], ids[3]}
+    assert (ids[4] in loaded.get_node(ids[1]).siblings()) == (walls == "edges")
 
 
 @pytest.mark.parametrize("walls", WALLS)
@@ -304,12 +315,156 @@ def test_symbols_that_are_not_numbered_by_row_are_ids():
     assert read.attributes == [{"id": ord("B") << 56}, {"id": "hall", "door": 3}]
 
 
-def test_a_node_of_a_layer_that_is_no_concept_is_refused():
-    foreign = hydra()
-    foreign["nodes"][1]["layer"] = 3
-    sentence = r"^dsg: nodes\[1\] lies in layer 3, partition 0 \(PLACES\), expected one of PLANES"
+def saved_by_hydra(version="new"):
+    """Returns a room and a building with objects, places, a robot and a mesh, as Hydra has them.
+
+    Places have the letter of our planes; "old" and "oldest" are encodings of earlier versions.
+    """
+    made = hydra()
+    pose = {"type": "AgentNodeAttributes", "position": [0.0, 0.0, 0.0]}
+    others = [(ord("O"), 2, 0), (ord("p"), 3, 0), (ord("p"), 3, 0), (ord("a"), 2, ord("a"))]
+    for number, (letter, layer, partition) in enumerate(others):
+        place = {"layer": layer, "partition": partition}
+        made["nodes"].append({"id": (letter << 56) + number, **place, "attributes": pose})
+    ids = [node["id"] for node in made["nodes"]]
+    info = {"type": "EdgeAttributes", "metadata": None}
+    made["edges"] += [{"source": ids[i], "target": ids[j], "info": info} for i, j in HYDRA_EDGES]
+    made["layer_keys"].append({"layer": 2, "partition": ord("a")})
+    made |= {"mesh": {"points": []}, "metadata": {"run": 7}}
+    if version != "new":
+        del made["layer_keys"]
+        made["layer_ids"] = [2, 3, 4, 5]
+        made["layer_names"] = {name: v["layer"] for name, v in made["layer_names"].items()}
+        for node in made["nodes"]:
+            if node.pop("partition"):
+                node["timestamp"] = 140141314973
+    if version == "oldest":
+        del made["layer_names"], made["SPARK_DSG_header"]
+    return made
+
+
+HYDRA_EDGES = [(0, 3), (0, 4), (3, 2), (3, 4), (5, 3)]  # room to places, place to object, ...
+
+
+@pytest.mark.parametrize("version", ["new", "old", "oldest"])
+def test_layers_that_are_no_concepts_are_left_out_and_counted(version, tmp_path):
+    building = ord("B") << 56
+    text = json.dumps(saved_by_hydra(version)).replace(f"{building}", f"{building + 1}")
+    (tmp_path / "dsg.json").write_text(text)  # symbols are numbered as our rows are
+    (read,) = read_with_attributes(tmp_path / "dsg.json")
+    assert read.graph.nodes.label.tolist() == [ROOM, BUILDING]
+    npt.assert_array_equal(undirected_edges(read.graph, PART_OF), [[0, 1]])
+    assert read.attributes == [{"id": ord("R") << 56}, {"id": building + 1}]
+    said = "2 of PLACES; 1 of AGENTS and OBJECTS; 1 of layer 2, partition 97; the mesh"
+    assert read.remarks == (f"left out what is in no layer of ours: {said}",)
+
+
+def test_a_file_of_other_layers_alone_is_refused():
+    foreign = saved_by_hydra()
+    del foreign["nodes"][:2]
+    foreign["edges"] = []
+    sentence = "^dsg: left out .* 2 of PLACES.*, expected nodes of PLANES, WALLS, ROOMS"
     with pytest.raises(ValueError, match=sentence):
         graph_from_spark_dsg(foreign, "dsg")
+
+
+def test_a_binary_file_is_named_for_what_it_is(tmp_path):
+    (tmp_path / "dsg.sparkdsg").write_bytes(b"\x00")
+    with pytest.raises(ValueError, match="binary Spark-DSG, expected its JSON"):
+        read_graphs(tmp_path / "dsg.sparkdsg")
+
+
+def test_names_are_those_that_a_person_gave():
+    named = [{}] * 5 + [{"name": "kitchen"}] + [{}] * 4
+    made = graph_to_spark_dsg(city(), attributes=named)
+    assert [node["attributes"]["name"] for node in made["nodes"][4:7]] == [
+        *("wall 4", "kitchen", "room 6")
+    ]
+    for node in made["nodes"]:
+        node["attributes"]["metadata"].pop("name", None)  # as a file of Hydra's
+    assert read_spark_dsg(made).attributes == named
+
+
+@pytest.mark.parametrize("version", ["new", "oldest"])
+def test_our_layers_stand_beside_hydras(version, tmp_path):
+    theirs = saved_by_hydra(version)
+    (tmp_path / "dsg.json").write_text(json.dumps(theirs))
+    held = [{"id": ord("R") << 56} if row == 5 else {} for row in range(10)]
+    remarks = write_into(tmp_path / "a.json", city(), tmp_path / "dsg.json", held)
+    made = json.loads((tmp_path / "a.json").read_text())
+    assert remarks == [f"{tmp_path / 'dsg.json'}: replaced 1 of its nodes by ours"]
+    assert made["mesh"] == theirs["mesh"]
+    assert made["metadata"]["run"] == 7
+    assert [node["attributes"] for node in made["nodes"][:4]] == [
+        node["attributes"] for node in theirs["nodes"][2:]
+    ]
+    ids = {node["id"] for node in made["nodes"]}
+    assert len(ids) == len(made["nodes"]) == 14
+    ends = [(edge["source"], edge["target"]) for edge in made["edges"]]
+    assert ends[:5] == [(edge["source"], edge["target"]) for edge in theirs["edges"][1:]]
+    assert {end for pair in ends for end in pair} <= ids
+    (read,) = read_with_attributes(tmp_path / "a.json")
+    assert_same_graph(subgraph(read.graph, [1, 2, 3, 4, 5, 0, 6, 7, 8, 9]), city())
+    assert read.attributes[0]["id"] == ord("R") << 56  # the room is the one that Hydra knows
+
+
+def test_between_nodes_that_are_ours_there_are_our_edges_alone(tmp_path):
+    (tmp_path / "dsg.json").write_text(json.dumps(saved_by_hydra()))
+    known = {5: {"id": ord("R") << 56}, 8: {"id": ord("B") << 56}}
+    held = [known.get(row, {}) for row in range(10)]
+    assert write_into(tmp_path / "a.json", city(), tmp_path / "dsg.json", held) == []
+    made = json.loads((tmp_path / "a.json").read_text())
+    ends = {frozenset((edge["source"], edge["target"])) for edge in made["edges"]}
+    assert frozenset(ord(letter) << 56 for letter in "RB") not in ends  # theirs; ours has a floor
+    assert len(ends) == len(made["edges"])
+
+
+def test_edges_of_what_is_replaced_go_with_it_and_are_counted(tmp_path):
+    (tmp_path / "dsg.json").write_text(json.dumps(saved_by_hydra()))
+    (remark,) = write_into(tmp_path / "a.json", city(), tmp_path / "dsg.json")
+    assert remark.endswith("replaced 2 of its nodes by ours, and left out 2 of their edges")
+
+
+def test_a_layer_of_theirs_where_ours_must_be_is_named(tmp_path):
+    theirs = saved_by_hydra()
+    theirs["layer_keys"].append({"layer": 6, "partition": 0})
+    theirs["layer_names"]["CAMPUS"] = {"layer": 6, "partition": 0}
+    (tmp_path / "dsg.json").write_text(json.dumps(theirs))
+    sentence = r"dsg\.json: layer 6, partition 0 is CAMPUS, expected it free for BUILDINGS"
+    with pytest.raises(ValueError, match=sentence):
+        write_into(tmp_path / "a.json", city(), tmp_path / "dsg.json")
+
+
+def test_what_hydra_saved_is_added_to_and_opened_by_their_library(tmp_path):
+    spark_dsg, path = library(), str(tmp_path / "dsg.json")
+    graph = spark_dsg.DynamicSceneGraph()
+    graph.add_layer(2, ord("a"), "")
+    symbol = spark_dsg.NodeSymbol
+    for letter, layer, partition, kind in (
+        ("O", 2, 0, spark_dsg.ObjectNodeAttributes),
+        ("p", 3, 0, spark_dsg.PlaceNodeAttributes),
+        ("R", 4, 0, spark_dsg.RoomNodeAttributes),
+        ("B", 5, 0, spark_dsg.SemanticNodeAttributes),
+        ("a", 2, ord("a"), spark_dsg.AgentNodeAttributes),
+    ):
+        attributes = kind()
+        attributes.position = np.ones(3)
+        assert graph.add_node(layer, symbol(letter, 0), attributes, partition)
+    for pair in ("BR", "Rp", "pO", "pa"):
+        assert graph.insert_edge(*(symbol(letter, 0) for letter in pair))
+    graph.save(path)
+    (read,) = read_with_attributes(path)
+    assert read.graph.nodes.label.tolist() == [ROOM, BUILDING]
+    held = [{"id": symbol("R", 0).value} if row == 5 else {} for row in range(10)]
+    write_into(tmp_path / "b.json", city(), path, held)
+    loaded = spark_dsg.DynamicSceneGraph.load(str(tmp_path / "b.json"))
+    assert loaded.get_node(symbol("p", 0)).get_parent() == symbol("R", 0).value
+    assert loaded.get_node(symbol("O", 0)).get_parent() == symbol("p", 0).value
+    sizes = {name: loaded.get_layer(name).num_nodes() for name in loaded.layer_names}
+    assert sizes["PLANES"] == 4
+    assert sizes["OBJECTS"] == sizes["PLACES"] == sizes["BUILDINGS"] == 1
+    planes = [*loaded.get_layer("PLANES").nodes]
+    assert all(plane.has_parent() and plane.get_parent() >> 56 == ord("R") for plane in planes)
 
 
 def broken(change):
@@ -350,19 +505,25 @@ METADATA = ("attributes", "metadata")
             r"\['ROOMS'\] is 4, expected an object",
         ),
         (
-            broken(lambda d: d["layer_names"]["ROOMS"].update(layer=3)),
-            r"\['ROOMS'\] is layer 3, partition 0 like WALLS, expected a layer of its own",
+            broken(lambda d: d["layer_names"]["ROOMS"].update(layer=5)),
+            r"\['FLOORS'\] is layer 5, partition 0 like ROOMS, expected a layer of its own",
         ),
         (
             broken_node(3, "layer", value=8),
-            r"nodes\[3\] lies in layer 8, partition 0, expected one",
+            r"nodes\[3\] lies in layer 8, partition 112, expected one",
         ),
         (
             broken_node(3, "partition", value=1),
             r"nodes\[3\] lies in layer 2, partition 1, expected",
         ),
-        (broken_node(3, "layer", value=3), r"nodes\[3\].normal is .*, expected zero: only planes"),
-        (broken_node(5, "layer", value=2), r"nodes\[5\].normal is \[0, 0, 0\], expected length 1"),
+        (
+            broken_node(3, "partition", value=ord("w")),
+            r"nodes\[3\].normal is .*, expected zero: only planes",
+        ),
+        (
+            broken(lambda d: d["nodes"][5].update(layer=2, partition=ord("p"))),
+            r"nodes\[5\].normal is \[0, 0, 0\], expected length 1",
+        ),
         (broken_node(3, "id", value=1.5), r"nodes\[3\].id is 1.5, expected an integer below 2\^64"),
         (broken_node(3, "id", value=2**64), r"nodes\[3\].id is 18446744073709551616, expected"),
         (broken_node(3, "id", value=True), r"nodes\[3\].id is True, expected an integer"),

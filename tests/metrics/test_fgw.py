@@ -15,6 +15,7 @@ from sg3d_jax.metrics.fgw import (
     fgw,
     fgw_pairs,
     matched_labels,
+    solvers,
 )
 from sg3d_jax.metrics.fgw_problem import Scale, centred, pose
 from sg3d_jax.metrics.frank_wolfe import from_assignment, minimise
@@ -369,3 +370,18 @@ def test_positions_that_are_no_numbers__give_nan_for_their_pair_alone(pairs, bro
     expected[2] = np.nan
     np.testing.assert_array_equal(scores.value, expected)
     assert not scores.converged[2]
+
+
+def test_pairs__are_solved_by_the_cpu_where_there_is_one(monkeypatch):
+    one, other = jax.devices()  # of which one stands for an accelerator
+    held = {None: [other], "cpu": [one]}
+
+    def local_devices(backend=None):
+        if backend not in held:
+            raise RuntimeError(f"Unknown backend {backend}")
+        return held[backend]
+
+    monkeypatch.setattr(jax, "local_devices", local_devices)
+    assert solvers() == [one]
+    del held["cpu"]
+    assert solvers() == [other]

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.scene.graph import FEATURES
 from sg3d_jax.scene.ontology import (
     BUILDING,
@@ -22,7 +23,7 @@ from sg3d_jax.scene.ontology import (
 )
 from tests import own_world
 
-BOTH = pytest.mark.parametrize("ontology", [PAPER_ONTOLOGY, own_world.ONTOLOGY])
+BOTH = pytest.mark.parametrize("ontology", [PAPER_ONTOLOGY, own_world.ONTOLOGY, FURNISHED_ONTOLOGY])
 
 
 def replaced(index: int, **fields) -> Ontology:
@@ -30,6 +31,11 @@ def replaced(index: int, **fields) -> Ontology:
     concepts = list(PAPER_ONTOLOGY.concepts)
     concepts[index] = dataclasses.replace(concepts[index], **fields)
     return dataclasses.replace(PAPER_ONTOLOGY, concepts=tuple(concepts))
+
+
+def with_kinds(*kinds) -> Ontology:
+    """Returns the paper's ontology with rooms of some kinds."""
+    return replaced(ROOM, features=("kind",), kinds=kinds)
 
 
 @BOTH
@@ -60,7 +66,14 @@ def test_the_default_is_the_papers():
     npt.assert_array_equal(np.flatnonzero(PAPER_ONTOLOGY.is_above), [BUILDING, CITY])
     npt.assert_array_equal(np.flatnonzero(PAPER_ONTOLOGY.hears_kin), [ROOM, FLOOR, BUILDING, CITY])
     for feature in FEATURES:
-        npt.assert_array_equal(np.flatnonzero(PAPER_ONTOLOGY.has(feature)), [PLANE])
+        planes = [] if feature == "kind" else [PLANE]
+        npt.assert_array_equal(np.flatnonzero(PAPER_ONTOLOGY.has(feature)), planes)
+
+
+def test_features_and_kinds_are_those_that_some_concept_has():
+    assert PAPER_ONTOLOGY.features == ("normal", "width")
+    assert with_kinds("hall", "flat").features == ("normal", "width", "kind")
+    assert with_kinds("hall", "flat").num_kinds.tolist() == [0, 0, 2, 0, 0, 0]
 
 
 @BOTH
@@ -102,6 +115,20 @@ def test_ontologies_differ_by_any_field_and_compile_apart():
         (lambda: replaced(WALL, colour="red"), "colour of wall is 'red', expected such as"),
         (lambda: replaced(WALL, colour="#12345g"), "colour of wall is '#12345g'"),
         (lambda: replaced(ROOM, features=("width", "height")), "feature of room is 'height', exp"),
+        (
+            lambda: replaced(ROOM, kinds=("hall",)),
+            r"kinds of room are \['hall'\], its features none",
+        ),
+        (
+            lambda: replaced(PLANE, features=("kind",)),
+            r"kinds of plane are \[\], its features kind, e",
+        ),
+        (
+            lambda: with_kinds("hall", "flat", "hall"),
+            "kind 'hall' of room is there twice, expected",
+        ),
+        (lambda: with_kinds("hall", ""), "kind of room is '', expected one line"),
+        (lambda: with_kinds("ha\nll"), r"kind of room is 'ha\\nll', expected one line"),
         (lambda: replaced(PLANE, observed=False), "expected concepts that are observed, and other"),
         (
             lambda: Ontology(PAPER_ONTOLOGY.concepts[:1], ()),

@@ -130,12 +130,21 @@ def test_coincident_planes_are_neighbours_of_each_other_not_of_themselves():
     assert adjacency.sum(axis=1).min() >= 1
 
 
-def test_all_that_is_observed_is_connected_and_nothing_else():
+def test_what_is_observed_is_connected_to_its_own_kind_and_to_a_few_others():
     world = own_world()
-    connected = connect(on_device(world, CAPACITY), k=3)
-    observed = np.flatnonzero(np.isin(world.nodes.label, [OWN_PLANE, PILLAR]))
-    expected = neighbours_by_tree(world.nodes.position[observed], 3)
+    connected = connect(on_device(world, CAPACITY), k=4)
+    label, position = world.nodes.label, world.nodes.position
+    expected = set()
+    for node in np.flatnonzero(np.isin(label, [OWN_PLANE, PILLAR])):
+        for others, most in (
+            (label == label[node], 4),
+            (label == PILLAR + OWN_PLANE - label[node], 3),
+        ):
+            others = np.setdiff1d(np.flatnonzero(others), node)
+            distance = np.linalg.norm(position[others] - position[node], axis=1)
+            near = others[np.argsort(distance, kind="stable")[:most]]
+            expected |= {(min(node, other), max(node, other)) for other in near}
     found = undirected_edges(connected, PROXIMITY)
-    npt.assert_array_equal(found, observed[np.argwhere(np.triu(expected))])
+    npt.assert_array_equal(found, sorted(expected))
     npt.assert_array_equal(undirected_edges(connected, PART_OF), undirected_edges(world, PART_OF))
     assert type(connected) is PackedGraph

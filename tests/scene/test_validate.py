@@ -6,6 +6,7 @@ from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL
 from sg3d_jax.scene.padding import Capacity, pad
 from sg3d_jax.scene.validate import check_observed, validate_graph
 from tests import own_world
+from tests.furnished_rooms import BED, ROOMS, furnished_rooms, with_kind
 
 WHERE = "scenes.npz: graph 3"
 
@@ -262,6 +263,28 @@ def test_a_field_of_another_width_is_refused(name, shape):
 def test_an_unknown_label_is_refused(label):
     message = refusal_of(make_graph([PLANE, PLANE, label], *corridor()))
     assert f"nodes[2].label is {label}, expected 0 to 5" in message
+
+
+@pytest.mark.parametrize(
+    ("row", "kind", "sentence"),
+    [
+        (7, 4, r"nodes\[7\].kind is 4, expected 0 to 3"),  # a unit
+        (5, 1.5, r"nodes\[5\].kind is 1.5, expected 0 to 12"),
+        (5, -1, r"nodes\[5\].kind is -1, expected 0 to 12"),
+        (4, np.nan, r"nodes\[4\].kind is nan, expected finite numbers"),
+        (8, 1, r"nodes\[8\].kind is 1, expected zero: only objects and rooms and units have one"),
+    ],
+)
+def test_a_kind_that_a_concept_has_not_is_refused(row, kind, sentence):
+    validate_graph(furnished_rooms(), WHERE)
+    with pytest.raises(ValueError, match=rf"^{WHERE}: {sentence}"):
+        validate_graph(with_kind(furnished_rooms(), row, kind), WHERE)
+
+
+def test_kinds_of_what_is_observed_are_looked_at_before_growing():
+    with pytest.raises(ValueError, match=rf"^{WHERE}: .*kind is 15, expected 0 to 14"):
+        check_observed(with_kind(furnished_rooms(), BED, 15), WHERE)
+    check_observed(with_kind(furnished_rooms(), ROOMS[0], 15), WHERE)
 
 
 def test_a_made_up_world_is_sound():

@@ -23,20 +23,16 @@ def save(tmp_path):
     """Saves states with scores, and returns what is kept."""
 
     def save_all(scores):
-        checkpoints = checkpoint.open_checkpoints(tmp_path / "checkpoints", state_at(0))
+        checkpoints = checkpoint.open_checkpoints(tmp_path / "checkpoints")
         for step, fgw in scores:
             checkpoint.save(checkpoints, state_at(step), fgw)
-        checkpoint.close(checkpoints)
         return reopened(tmp_path / "checkpoints")
 
     return save_all
 
 
 def reopened(folder):
-    checkpoints = checkpoint.open_checkpoints(folder, state_at(0))
-    kept = checkpoint.steps(checkpoints)
-    checkpoint.close(checkpoints)
-    return kept
+    return checkpoint.steps(checkpoint.open_checkpoints(folder))
 
 
 @pytest.mark.parametrize(
@@ -54,9 +50,8 @@ def test_the_latest_two_and_the_best_are_kept(save, scores, kept):
 
 def test_a_state_is_restored_bit_for_bit(save, tmp_path):
     save([(3, 0.2), (7, 0.1)])
-    checkpoints = checkpoint.open_checkpoints(tmp_path / "checkpoints", state_at(0))
+    checkpoints = checkpoint.open_checkpoints(tmp_path / "checkpoints")
     restored = checkpoint.restore(checkpoints, state_at(0), 7)
-    checkpoint.close(checkpoints)
     assert jax.tree.structure(restored) == jax.tree.structure(state_at(7))
     for one, other in zip(*map(jax.tree.leaves, (restored, state_at(7))), strict=True):
         assert one.dtype == other.dtype
@@ -107,10 +102,9 @@ DAMAGES = {
 @pytest.fixture(scope="module")
 def three_saved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("three") / "checkpoints"
-    checkpoints = checkpoint.open_checkpoints(folder, state_at(0))
+    checkpoints = checkpoint.open_checkpoints(folder)
     for step, fgw in ((1, 0.3), (2, 0.2), (3, 0.1)):
         checkpoint.save(checkpoints, state_at(step), fgw)
-    checkpoint.close(checkpoints)
     return folder
 
 
@@ -122,10 +116,9 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_it_is_the_latest(
     DAMAGES[damage](folder / "3")
     name, kept = ("9", [(2, 0.2), (3, 0.1)]) if (folder / "9").exists() else ("3", [(2, 0.2)])
     capfd.readouterr()
-    checkpoints = checkpoint.open_checkpoints(folder, state_at(0))
-    assert checkpoints.damaged == [name]
+    checkpoints = checkpoint.open_checkpoints(folder)
+    assert checkpoints.damaged == (name,)
     assert checkpoint.steps(checkpoints) == kept
-    checkpoint.close(checkpoints)
     assert [path.name for path in (tmp_path / "damaged").iterdir()] == [f"{name}-1"]
     assert capfd.readouterr() == ("", "")
 
@@ -134,26 +127,26 @@ def test_what_was_set_aside_is_made_again_and_may_be_set_aside_again(three_saved
     folder = shutil.copytree(three_saved, tmp_path / "checkpoints")
     for _ in range(2):
         cut(folder / "3")
-        checkpoints = checkpoint.open_checkpoints(folder, state_at(0))
+        checkpoints = checkpoint.open_checkpoints(folder)
         checkpoint.save(checkpoints, state_at(3), 0.1)
         assert checkpoint.steps(checkpoints) == [(2, 0.2), (3, 0.1)]
-        checkpoint.close(checkpoints)
     assert sorted(path.name for path in (tmp_path / "damaged").iterdir()) == ["3-1", "3-2"]
 
 
 def test_what_a_killed_process_left_unfinished_is_removed_and_hinders_nothing(save, tmp_path):
     save([(1, 0.3)])
-    unfinished = tmp_path / "checkpoints" / "2.orbax-checkpoint-tmp"
-    unfinished.mkdir()
+    names = "2.unfinished", "2.unfinished.orbax-checkpoint-tmp"
+    for name in names:
+        (tmp_path / "checkpoints" / name).mkdir()
     (tmp_path / "checkpoints" / "1" / "digest").unlink()  # killed just before it was written
     assert reopened(tmp_path / "checkpoints") == [(1, 0.3)]
-    assert not unfinished.exists()
+    assert not any((tmp_path / "checkpoints" / name).exists() for name in names)
 
 
 def test_a_full_disk_is_one_sentence_and_harms_no_checkpoint_before(save, tmp_path, capfd):
     save([(1, 0.3)])
     capfd.readouterr()
-    checkpoints = checkpoint.open_checkpoints(tmp_path / "checkpoints", state_at(0))
+    checkpoints = checkpoint.open_checkpoints(tmp_path / "checkpoints")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
@@ -163,7 +156,6 @@ def test_a_full_disk_is_one_sentence_and_harms_no_checkpoint_before(save, tmp_pa
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, previous)
-    checkpoint.close(checkpoints)
     assert "File too large" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert capfd.readouterr() == ("", "")

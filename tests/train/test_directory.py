@@ -1,5 +1,7 @@
 """What a run directory says of its run, and who works in it."""
 
+import dataclasses
+import json
 import os
 import socket
 import subprocess
@@ -8,7 +10,7 @@ import sys
 import pytest
 
 from sg3d_jax import origin
-from sg3d_jax.train.config import Config
+from sg3d_jax.train.config import Config, to_dict
 from sg3d_jax.train.directory import changes_of_origin, check_same_run, held, write_run
 
 HERE = dict.fromkeys(("commit", "code", "jax", "device", "training", "validation"), "1")
@@ -68,6 +70,15 @@ def test_origins_of_steps_that_are_made_again_are_forgotten(tmp_path):
     assert text.count("\n") == 2
     assert '"step": 4' in text.splitlines()[1]
     assert '"training": "3"' in text.splitlines()[1]
+
+
+def test_a_run_goes_on_although_its_configuration_lacks_what_is_newer_and_as_it_was(tmp_path):
+    older = to_dict(Config())
+    del older["accumulate"], older["flagg"]["any_cuts"]
+    (tmp_path / "config.json").write_text(json.dumps(older))
+    assert check_same_run(tmp_path, Config()) == Config().steps
+    with pytest.raises(ValueError, match=r"accumulate 1 there, 2 here$"):
+        check_same_run(tmp_path, dataclasses.replace(Config(), accumulate=2))
 
 
 @pytest.mark.parametrize(

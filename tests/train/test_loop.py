@@ -1,4 +1,3 @@
-import contextlib
 import dataclasses
 import json
 import shutil
@@ -46,18 +45,12 @@ def log_of(directory, kind=None):
     return [line for line in lines if kind in (None, line["kind"])]
 
 
-@contextlib.contextmanager
-def opened(trained, directory):
-    checkpoints = checkpoint.open_checkpoints(directory / "checkpoints", trained.initial)
-    try:
-        yield checkpoints
-    finally:
-        checkpoint.close(checkpoints)
+def opened(directory):
+    return checkpoint.open_checkpoints(directory / "checkpoints")
 
 
-def kept_in(trained, directory):
-    with opened(trained, directory) as checkpoints:
-        return checkpoint.steps(checkpoints)
+def kept_in(directory):
+    return checkpoint.steps(opened(directory))
 
 
 def stop_at(step, monkeypatch, error):
@@ -114,7 +107,7 @@ def test_a_run_that_was_interrupted_goes_on_bit_for_bit(programs, tmp_path, monk
         stop_at(20, patch, KeyboardInterrupt)
         with pytest.raises(KeyboardInterrupt):
             train(programs.run.config, tmp_path)
-    assert [step for step, _ in kept_in(programs, tmp_path)] == [12]
+    assert [step for step, _ in kept_in(tmp_path)] == [12]
     assert not (tmp_path / "weights.npz").exists()
     weights = train(programs.run.config, tmp_path).weights
     assert_same_weights(weights, programs.directory / "weights.npz")
@@ -203,11 +196,14 @@ def test_a_run_is_a_function_of_its_configuration(programs, tmp_path):
 
 
 def test_calls_that_were_compiled_side_by_side_do_what_the_jitted_one_does(trained):
-    given = trained.initial, root_key(trained.run.config.seed + 1)
-    calls = compile_calls(trained.train_call, *given, trained.run.stacks)
+    key = root_key(trained.run.config.seed + 1)
+    calls = compile_calls(trained.train_call, trained.initial, key, trained.run.stacks)
     for call, graphs in zip(calls, trained.run.stacks, strict=True):
-        pairs = map(jax.tree.leaves, (call(*given, graphs), trained.train_call(*given, graphs)))
-        for one, other in zip(*pairs, strict=True):
+        made = [
+            function(jax.tree.map(jnp.copy, trained.initial), key, graphs)
+            for function in (call, trained.train_call)
+        ]
+        for one, other in zip(*map(jax.tree.leaves, made), strict=True):
             npt.assert_array_equal(one, other)
 
 
@@ -224,7 +220,7 @@ def test_the_weights_are_the_average_of_the_best_validation(programs, tmp_path, 
     scripted([np.inf, 0.1, 0.4], monkeypatch)
     config = dataclasses.replace(programs.run.config, validate_every=8)
     done = train(config, tmp_path)
-    assert kept_in(programs, tmp_path) == [(16, 0.1), (24, 0.4)]
+    assert kept_in(tmp_path) == [(16, 0.1), (24, 0.4)]
     assert (done.step, done.fgw) == (16, 0.1)
     state = restored(programs, tmp_path, 16)
     loaded = load_weights(done.weights)
@@ -237,12 +233,11 @@ def test_the_weights_are_the_average_of_the_best_validation(programs, tmp_path, 
 
 
 def restored(trained, directory, step):
-    with opened(trained, directory) as checkpoints:
-        return checkpoint.restore(checkpoints, trained.initial, step)
+    return checkpoint.restore(opened(directory), trained.initial, step)
 
 
 def test_loaded_weights_grow_what_the_run_grew(trained):
-    best, fgw = min(kept_in(trained, trained.directory), key=lambda step_and_fgw: step_and_fgw[1])
+    best, fgw = min(kept_in(trained.directory), key=lambda step_and_fgw: step_and_fgw[1])
     loaded = load_weights(trained.directory / "weights.npz")
     scenes = trained.run.validation
     params = restored(trained, trained.directory, best).average
@@ -265,9 +260,22 @@ def test_a_loss_that_is_not_finite_stops_the_run(programs, tmp_path, monkeypatch
         train(programs.run.config, tmp_path)
     assert str(caught.value).startswith(f"{tmp_path}: the loss is")
     assert "\n" not in str(caught.value)
-    assert kept_in(programs, tmp_path) == [(12, 0.5)]
+    assert kept_in(tmp_path) == [(12, 0.5)]
     leaves = jax.tree.leaves(restored(programs, tmp_path, 12))
     assert all(np.isfinite(leaf).all() for leaf in leaves)
+
+
+@pytest.mark.parametrize(("accumulate", "said"), [(1, True), (2, False)])
+def test_accelerators_without_work_are_remarked_on(
+    trained, tmp_path, monkeypatch, capsys, accumulate, said
+):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    config = dataclasses.replace(trained.run.config, accumulate=accumulate)
+    loop._remark_idle_devices(tmp_path, config)
+    sentence = (
+        "trains on 1 of 2 devices, because accumulate is 1; --accumulate 2 has a batch for each"
+    )
+    assert (sentence in capsys.readouterr().err) == said
 
 
 def test_a_score_that_is_not_finite_is_the_worst(trained, monkeypatch):

@@ -49,11 +49,15 @@ def start():
     return TrainState(START, START, optimiser, jnp.zeros((), jnp.int32))
 
 
+def copied(state):
+    return jax.tree.map(jnp.copy, state)
+
+
 def run(call, graphs, num_calls):
     """Returns the states after every call, and the metrics."""
     states, metrics = [start()], []
     for _ in range(num_calls):
-        state, values = call(states[-1], jax.random.key(7), graphs)
+        state, values = call(copied(states[-1]), jax.random.key(7), graphs)
         states.append(state)
         metrics.append({name: float(value) for name, value in values.items()})
     return states, metrics
@@ -68,7 +72,7 @@ def test_batches_of_large_graphs_are_smaller(graphs, batch_nodes, batch):
 def test_there_is_one_trace_a_bucket(graphs):
     call, other = one_call(2), stack(small_floors(), Capacity(32, 64))
     for bucket, traces in ((graphs, 1), (graphs, 1), (other, 2), (graphs, 2), (other, 2)):
-        call(start(), jax.random.key(0), bucket)
+        call(copied(start()), jax.random.key(0), bucket)
         assert call._cache_size() == traces
 
 
@@ -114,7 +118,7 @@ def test_draws_follow_from_the_key_and_the_step(graphs):
     (_, first), (_, again) = (run(call, graphs, 3) for _ in range(2))
     assert first == again
     assert len({row["noise"] for row in first}) == 3
-    _, other = call(start(), jax.random.key(8), graphs)
+    _, other = call(copied(start()), jax.random.key(8), graphs)
     assert float(other["noise"]) != first[0]["noise"]
 
 
@@ -122,3 +126,39 @@ def test_every_graph_of_a_bucket_is_drawn(graphs):
     _, metrics = run(one_call(1, dataclasses.replace(CONFIG, batch=1)), graphs, 60)
     widths = {np.float32(row["width"]) for row in metrics}
     assert widths == set(np.asarray(graphs.nodes.width[:, 0]).tolist())
+
+
+def spread(number, config, monkeypatch):
+    """Returns a call of two steps over so many devices."""
+    devices = jax.devices()[:number]
+    with monkeypatch.context() as patch:
+        patch.setattr(jax, "devices", lambda: devices)
+        return one_call(2, config)
+
+
+def test_weights_and_metrics_do_not_depend_on_the_devices_bit_for_bit(graphs, monkeypatch):
+    config = dataclasses.replace(CONFIG, batch=3, accumulate=4)
+    reached = [run(spread(number, config, monkeypatch), graphs, 20) for number in (1, 2)]
+    assert len(reached[1][0][-1].params.devices()) == 2
+    for one, other in zip(*map(jax.tree.leaves, reached), strict=True):
+        npt.assert_array_equal(one, other)
+
+
+def test_several_batches_a_step_are_one_of_all_their_graphs(graphs):
+    together, apart = (
+        run(one_call(2, dataclasses.replace(CONFIG, batch=batch, accumulate=number)), graphs, 5)
+        for batch, number in ((6, 1), (2, 3))
+    )
+    for one, other in zip(*map(jax.tree.leaves, (together, apart)), strict=True):
+        npt.assert_allclose(one, other, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize(("accumulate", "devices"), [(1, 1), (2, 2), (3, 1), (4, 2)])
+def test_a_step_is_spread_over_as_many_devices_as_share_it_evenly(accumulate, devices):
+    assert step.mesh_of(dataclasses.replace(CONFIG, accumulate=accumulate)).size == devices
+
+
+def test_a_call_takes_the_memory_of_the_state_that_it_is_given(graphs):
+    call, given = one_call(1), copied(start())
+    call(given, jax.random.key(7), graphs)
+    assert all(leaf.is_deleted() for leaf in jax.tree.leaves(given))

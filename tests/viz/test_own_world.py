@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 
 import numpy as np
 import numpy.testing as npt
@@ -14,6 +13,7 @@ from matplotlib.image import imread
 from sg3d_jax.data import registry
 from sg3d_jax.scene.graph import SceneGraph, make_graph, subgraph
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Concept, Ontology, Rule
+from sg3d_jax.viz import plan
 from sg3d_jax.viz.figure import contact_sheet, draw_graph, save_picture
 from sg3d_jax.viz.page import graph_traces, hover_text, save_page
 from sg3d_jax.viz.style import (
@@ -26,6 +26,7 @@ from sg3d_jax.viz.style import (
     view_of,
 )
 from tests.own_world import FLAT, FLOOR, NUM_PLANES, ONTOLOGY, PILLAR, PLANE, WALL, own_world
+from tests.viz.test_page import embedded
 
 
 def layer(traces, uid):
@@ -82,6 +83,25 @@ def test_a_picture_holds_the_colours_of_its_ontology(tmp_path):
     for concept in (PLANE, PILLAR, WALL, FLAT, FLOOR):
         colour = to_rgba(ONTOLOGY.concepts[concept].colour)[:3]
         assert (np.abs(pixels - colour).max(axis=-1) < 0.02).sum() > 20
+
+
+def test_a_plan_has_pillars_as_dots_and_a_legend_that_fits(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(plan, "save_figure", lambda figure, path: figures.append(figure))
+    graph = own_world()
+    plan.save_plan(graph, tmp_path / "plan.png", None, np.ones(len(graph.nodes.label)), graph)
+    (figure,) = figures
+    dots = [item for item in figure.axes[0].collections if isinstance(item, PathCollection)]
+    (pillars,) = (item for item in dots if len(item.get_offsets()))
+    npt.assert_allclose(
+        pillars.get_offsets(), graph.nodes.position[graph.nodes.label == PILLAR, :2]
+    )
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert "pillar" in [text.get_text() for text in legend.get_texts()]
+    box = legend.get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.width
 
 
 def test_one_legend_names_the_concepts_of_all_ontologies(tmp_path, monkeypatch):
@@ -165,9 +185,7 @@ def test_without_anything_amid_its_parts_there_is_no_floor():
 
 def test_a_page_has_a_layer_for_every_concept(tmp_path):
     save_page([own_world()], tmp_path / "a.html")
-    text = (tmp_path / "a.html").read_text()
-    found = re.search(r'<script id="page" type="application/json">(.*?)</script>', text, re.DOTALL)
-    (graph,) = json.loads(found[1])["graphs"]
+    (graph,) = embedded(tmp_path / "a.html")["graphs"]
     assert graph["counts"] == "plane 12 · pillar 2 · wall 1 · room 3 · flat 2 · floor 1"
     pillars = layer(graph["data"], "pillar")
     assert pillars["customdata"] == [12, 13]

@@ -98,11 +98,17 @@ async function hover(uid, index) {
 
 
 def embedded(path):
-    """Returns what a page holds as JSON."""
-    found = re.search(
-        r'<script id="page" type="application/json">(.*?)</script>', path.read_text(), re.DOTALL
+    """Returns what a page holds as JSON: what it is told at once, and each graph for later."""
+    kinds = ('id="page"', 'class="graph"')
+    (page, *_), graphs = (
+        [
+            json.loads(text)
+            for text in re.findall(f'<script {kind} type="application/json">(.*?)</script>', markup)
+        ]
+        for markup in [path.read_text()]
+        for kind in kinds
     )
-    return json.loads(found[1])
+    return {**page, "graphs": graphs}
 
 
 def own_markup(path):
@@ -149,8 +155,9 @@ def seen_by_a_browser(path):
 def test_plotly_knows_every_property_of_the_traces_and_of_the_view(tmp_path):
     save_page([one_room(), small_city()], tmp_path / "a.html")
     for graph in embedded(tmp_path / "a.html")["graphs"]:
-        figure = go.Figure(graph["data"], graph["layout"])
-        assert len(figure.data) == len(graph["data"])
+        for drawn in (graph, *graph["plans"]):
+            figure = go.Figure(drawn["data"], drawn["layout"])
+            assert len(figure.data) == len(drawn["data"])
 
 
 @pytest.mark.parametrize("graph", [one_room(), small_city()], ids=["room", "city"])
@@ -209,6 +216,28 @@ def test_hover_text_holds_label_centroid_width_normal_parents_and_children():
         "<br>3 children: plane 0, plane 1, plane 2"
     )
     assert text[4] == "<b>floor 4</b><br>centroid (1.00, 0.00, 1.00) m<br>1 child: room 3"
+
+
+def test_nodes_are_called_what_they_are_said_to_be(tmp_path):
+    called = ["p<1>", 7, "p3", "hall", "F"]
+    save_page([one_room()], tmp_path / "a.html", node_names=[called])
+    (graph,) = embedded(tmp_path / "a.html")["graphs"]
+    assert graph["text"] == hover_text(one_room(), node_names=called)
+    assert graph["text"][0].startswith("<b>plane p&lt;1&gt;</b>")
+    assert graph["text"][3].endswith(
+        "part of floor F<br>3 children: plane p&lt;1&gt;, plane 7, plane p3"
+    )
+    (plan,) = graph["plans"]
+    assert ["hall"] in [trace.get("text") for trace in plan["data"]]
+
+
+def test_below_a_plan_is_that_of_the_truth_whose_nodes_have_their_own_text(tmp_path):
+    room, nothing = one_room(), make_graph([ROOM], np.zeros((1, 3)))
+    save_page([room, nothing], tmp_path / "a.html", truth=[room, nothing])
+    first, second = embedded(tmp_path / "a.html")["graphs"]
+    assert [plan["title"] for plan in first["plans"]][1:] == ["truth"]
+    assert first["plans"][1]["text"] == hover_text(room)
+    assert second["plans"] == []
 
 
 def test_hover_text_gives_true_heights_and_cuts_long_lists():
@@ -321,10 +350,7 @@ def test_the_same_graphs_give_the_same_bytes(tmp_path):
 def test_titles_and_names_are_text_not_markup(tmp_path):
     hostile = '</script><b onload="x">{{data}}&'
     save_page([one_room(), one_room()], tmp_path / "a.html", hostile, [hostile, "grown"])
-    assert [graph["name"] for graph in embedded(tmp_path / "a.html")["graphs"]] == [
-        hostile,
-        "grown",
-    ]
+    assert embedded(tmp_path / "a.html")["names"] == [hostile, "grown"]
     markup = own_markup(tmp_path / "a.html")
     assert "<b" not in markup.replace("<body", "")
     assert markup.count(html.escape(hostile)) == 2
@@ -335,7 +361,7 @@ def test_graphs_of_a_page_share_their_layers_and_are_numbered(tmp_path):
     first, second = embedded(tmp_path / "a.html")["graphs"]
     assert [t["uid"] for t in first["data"]] == [t["uid"] for t in second["data"]]
     assert "wall" not in [t["uid"] for t in first["data"]]  # no graph of the page has one
-    assert (first["name"], second["name"]) == ("graph 0", "graph 1")
+    assert embedded(tmp_path / "a.html")["names"] == ["graph 0", "graph 1"]
     assert second["counts"] == "plane 16 · room 4 · floor 4 · building 2 · city 1"
 
 
@@ -352,6 +378,8 @@ def test_what_cannot_be_shown_or_written_is_refused(tmp_path):
         save_page([], tmp_path / "a.html")
     with pytest.raises(ValueError, match=r"a\.html: 2 names for 1 graphs"):
         save_page([one_room()], tmp_path / "a.html", names=["a", "b"])
+    with pytest.raises(ValueError, match=r"a\.html: 1 truths for 2 graphs"):
+        save_page([one_room()] * 2, tmp_path / "a.html", truth=[one_room()])
     with pytest.raises(ValueError, match="which is no folder"):
         save_page([one_room()], tmp_path / "missing" / "a.html")
     assert not list(tmp_path.iterdir())

@@ -9,7 +9,8 @@ from matplotlib.path import Path as Outline
 
 from sg3d_jax.scene.graph import make_graph, parts_first
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, ROOM, WALL
-from sg3d_jax.viz.plan import PALETTE, area_colours, outline, plan_of, save_plan
+from sg3d_jax.viz.outline import PALETTE, area_colours, outline, plan_of
+from sg3d_jax.viz.plan import save_plan
 from sg3d_jax.viz.style import faded, styles_of
 from tests.own_world import own_world
 from tests.two_rooms import two_rooms
