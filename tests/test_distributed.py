@@ -80,6 +80,7 @@ def test_numbers_that_do_not_fit__are_refused(monkeypatch, arguments, sentence):
         initialise(*arguments)
 
 
+@pytest.mark.slow
 def test_two_processes__come_to_what_one_comes_to(tmp_path, monkeypatch, capsys):
     """Each deals its share of the scenes to its devices, of which one has two and one has four."""
     monkeypatch.chdir(tmp_path)

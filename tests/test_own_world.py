@@ -63,6 +63,7 @@ def _workplace(tmp_path, monkeypatch):
         yield
 
 
+@pytest.mark.slow
 def test_a_world_of_ones_own_needs_a_configuration_alone(monkeypatch, capsys):
     Path("own.py").write_text(CONFIGURATION.format(ontology=repr(ONTOLOGY)))
 

@@ -125,6 +125,7 @@ def clone(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
 def test_every_page__runs(clone, monkeypatch, capsys):
     for page in ORDER:
@@ -138,6 +139,7 @@ def test_every_page__runs(clone, monkeypatch, capsys):
         assert (clone / name).is_file(), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_notebook__runs_and_is_kept_without_its_outputs(path, clone):
     cells = json.loads(path.read_text())["cells"]

@@ -288,7 +288,9 @@ def gathered(attributes: Mapping[str, Any], where: str) -> dict[str, Any]:
             made[vector] = given
     for name in SCALARS:
         if name in made:
-            made[name] = None if _is_nothing(made[name]) else _number_in(made[name])
+            # A plane of the authors has a length: one that is NaN is broken, and refused.
+            is_none = _is_nothing(made[name]) and name == "width"
+            made[name] = None if is_none else _number_in(made[name])
     return made
 
 

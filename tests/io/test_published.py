@@ -365,7 +365,7 @@ BROKEN = [
     ("ws", {"center": endless()}, "expected three numbers"),
     ("ws", {"center": [0.0, 0.0, endless()]}, "expected a number"),
     ("ws", {"center": {0: 1.0}}, "expected three numbers"),
-    ("ws", {"length": "2"}, "length is '2', expected a number"),
+    ("ws", {"length": "two"}, "length is 'two', expected a number"),
     ("ws", {"length": -1.0}, ".width is -1, expected zero metres or more"),
     ("ws", {"length": np.nan}, ".width is nan, expected finite numbers"),
     ("ws", {"normal": np.zeros(3)}, ".normal is [0, 0, 0], expected length 1"),

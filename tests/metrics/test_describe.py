@@ -96,9 +96,14 @@ def test_all_that_is_observed_is_counted_as_joined():
         part_of=own_world.PART_OF_PAIRS,
         ontology=own_world.ONTOLOGY,
     )
-    observed = world.nodes.position[: own_world.NUM_OBSERVED]
-    _, nearest = cKDTree(observed).query(observed, k=11)
-    pairs = {frozenset((i, int(j))) for i, row in enumerate(nearest) for j in row if i != j}
+    position, first = world.nodes.position[: own_world.NUM_OBSERVED], own_world.NUM_PLANES
+    pairs = set()
+    for node, place in enumerate(position):  # 10 nearest of its own concept, 3 of the other
+        distance = np.linalg.norm(position - place, axis=1)
+        nearest = np.argsort(distance, kind="stable").tolist()
+        alike = [other for other in nearest if (other < first) == (node < first) and other != node]
+        others = [other for other in nearest if (other < first) != (node < first)]
+        pairs |= {frozenset((node, other)) for other in (*alike[:10], *others[:3])}
     assert count_proximity_edges([without, world]).tolist() == [
         len(pairs),
         len(undirected_edges(world, PROXIMITY)),

@@ -40,10 +40,11 @@ def test_a_run_starts_from_weights_that_come_with_the_package_or_of_another_conf
             named = parse(Path(start).parent.name)
             assert start == f"runs/{'-'.join(named)}/weights.npz"
             assert (CONFIGS / f"{'_'.join(named)}.py".replace("-", "_")).is_file()
+            method = named.method
         else:
-            named = parse(start)
             assert start in names()
-        assert named.method == config.method
+            method = find_config(start).method
+        assert method == config.method
 
 
 def test_a_configuration_of_that_name_comes_first_else_it_is_that_of_the_home():
