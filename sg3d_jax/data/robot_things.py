@@ -3,10 +3,7 @@
 Doors, stairs, furniture, pillars: a robot sees things in the rooms of which it sees a plane, misses
 some, takes some for two, is wrong about where and how wide they are, and of which kind.
 
-Source: no recordings tell; the ranges are ours, about what those who built such maps report: a
-detector finds most but not all instances, objects seen from two sides are mapped twice, centroids
-of half-seen ones are off by a share of their size (Rosinol et al., "Kimera: from SLAM to Spatial
-Perception with 3D Dynamic Scene Graphs", 2021; Hughes et al., "Hydra", 2022).
+Source: ours. No map of objects with its truth was at hand: the ranges are guesses.
 """
 
 from dataclasses import dataclass

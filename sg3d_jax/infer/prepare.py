@@ -155,5 +155,6 @@ def _on_host(graph: SceneGraph) -> SceneGraph:
         position=host(graph.nodes.position),
         normal=host(graph.nodes.normal),
         width=host(graph.nodes.width),
+        kind=host(graph.nodes.kind),
     )
     return graph._replace(nodes=nodes)
