@@ -188,7 +188,7 @@ def test_every_command__exists_with_its_options(page, options):
 
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
 def test_every_option__has_its_line_of_help(function):
-    told = re.findall(r"^ {6}(\w+): ", function.__doc__, re.MULTILINE)
+    told = re.findall(r"^ {2}(\w+): ", inspect.getdoc(function), re.MULTILINE)  # without indents
     assert told == [*inspect.signature(function).parameters]
 
 
