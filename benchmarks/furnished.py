@@ -12,6 +12,7 @@ benchmarks/results/furnished_NAME.json.
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -104,8 +105,8 @@ def main() -> None:
         )
         rows[view] = measured(trained, truth[: arguments.scenes], arguments.candidates)
         print(f"{name}@{view:14} {json.dumps(rows[view])}", flush=True)
-    weights = Path(arguments.weights).name
-    about = provenance() | {"weights": weights, "candidates": arguments.candidates}
+    given = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
+    about = provenance() | {"command": " ".join(["python benchmarks/furnished.py", *given])}
     path = RESULTS / f"furnished_{name}.json"
     path.write_text(json.dumps(about | {"rows": rows}, indent=2) + "\n")
 
