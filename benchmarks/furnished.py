@@ -23,8 +23,9 @@ from sg3d_jax.data.floorplan import read_floors
 from sg3d_jax.data.levels import floor_scenes
 from sg3d_jax.data.room_labels import labelled
 from sg3d_jax.infer.complete import complete
+from sg3d_jax.metrics.calibration import observed_below
 from sg3d_jax.metrics.report import score
-from sg3d_jax.scene.graph import SceneGraph, observed_of, ontology_of, part_of_matrix
+from sg3d_jax.scene.graph import SceneGraph, observed_of, ontology_of
 from sg3d_jax.train.config import DataConfig
 from sg3d_jax.train.dataset import load_split
 from sg3d_jax.train.weights import Trained, load_weights
@@ -37,14 +38,12 @@ Found = dict[frozenset[int], int]  # planes and kind of each node of a concept
 
 def nodes_by_planes(graph: SceneGraph, concept: str) -> Found:
     """Returns the kind of each node of a concept by the planes that are below it."""
-    label, names = graph.nodes.label, ontology_of(graph).names
-    below, reached = part_of_matrix(graph), part_of_matrix(graph)
-    for _ in names:  # as far as the hierarchy goes
-        reached = reached | (reached.astype(int) @ below.astype(int) > 0)
-    is_plane = label == names.index("plane")
+    label, ontology = graph.nodes.label, ontology_of(graph)
+    is_plane = label[graph.nodes.observed] == ontology.label_of("plane")
+    below = observed_below(graph)[:, is_plane]
     return {
-        frozenset(np.flatnonzero(reached[:, node] & is_plane).tolist()): int(graph.nodes.kind[node])
-        for node in np.flatnonzero(label == names.index(concept)).tolist()
+        frozenset(np.flatnonzero(below[node]).tolist()): int(graph.nodes.kind[node])
+        for node in np.flatnonzero(label == ontology.label_of(concept)).tolist()
     }
 
 

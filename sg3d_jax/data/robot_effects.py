@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from sg3d_jax.data.robot_things import ThingsConfig, is_surface
+from sg3d_jax.data.robot_things import ThingsConfig, check_strengths, is_surface
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
 from sg3d_jax.scene.ontology import Ontology
 
@@ -98,12 +98,7 @@ class RobotConfig:
 
     def __post_init__(self) -> None:
         """Refuses settings that nothing can be seen with."""
-        for name in _SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name):g}, expected 0 to 1")
-        for name in _LENGTHS:
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name):g}, expected zero or more")
+        check_strengths(self, _SHARES, _LENGTHS)
         for name in _RANGES:
             low, high = getattr(self, name)
             most = 1 if name == "shortened_by" else np.inf

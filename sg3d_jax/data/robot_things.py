@@ -6,8 +6,9 @@ some, takes some for two, is wrong about where and how wide they are, and of whi
 Source: ours. No map of objects with its truth was at hand: the ranges are guesses.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -43,16 +44,30 @@ class ThingsConfig:
 
     def __post_init__(self) -> None:
         """Refuses settings that nothing can be seen with."""
-        for name in _SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name):g}, expected 0 to 1")
-        for name in _LENGTHS:
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name):g}, expected zero or more")
+        check_strengths(self, _SHARES, _LENGTHS)
         low, high = self.doubled_offset
         if not 0 <= low <= high < np.inf:
             held = f"doubled_offset is ({low:g}, {high:g})"
             raise ValueError(f"{held}, expected 0 <= least <= greatest")
+
+
+def check_strengths(config: Any, shares: Sequence[str], lengths: Sequence[str]) -> None:
+    """Refuses settings of what is seen that are no shares and no lengths.
+
+    Args:
+      config: has fields of these names.
+      shares: fields that are 0 to 1.
+      lengths: fields that are zero or more.
+
+    Raises:
+      ValueError: one sentence that names the first that is wrong.
+    """
+    for name in shares:
+        if not 0 <= getattr(config, name) <= 1:
+            raise ValueError(f"{name} is {getattr(config, name):g}, expected 0 to 1")
+    for name in lengths:
+        if not 0 <= getattr(config, name) < np.inf:
+            raise ValueError(f"{name} is {getattr(config, name):g}, expected zero or more")
 
 
 class SeenThings(NamedTuple):

@@ -25,6 +25,7 @@ from sg3d_jax.io.files import replacing
 from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
 from sg3d_jax.viz.style import (
+    CAPTION_COLOUR,
     EDGE_COLOUR,
     FAINT,
     LEAST_SIZE,
@@ -48,7 +49,6 @@ SHEET_COLUMNS: Final = 6
 LEGEND_HEIGHT: Final = 0.6  # inches
 LEGEND_MARK, LEGEND_LETTER = 0.55, 0.09  # inches, of an entry
 CAPTION_SIZE: Final = 9  # points
-CAPTION_COLOUR: Final = "#475467"
 
 
 class _Drawn(NamedTuple):

@@ -13,7 +13,6 @@ from matplotlib.patches import Patch, Polygon
 
 from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of
 from sg3d_jax.viz.figure import (
-    CAPTION_COLOUR,
     CAPTION_SIZE,
     add_lines,
     colours_of,
@@ -32,9 +31,17 @@ from sg3d_jax.viz.outline import (
     middle_of,
     plan_of,
 )
-from sg3d_jax.viz.style import are_segments, check_confidence, faded, floor_of, styles_of
+from sg3d_jax.viz.style import (
+    CAPTION_COLOUR,
+    INK,
+    MISSING_COLOUR,
+    are_segments,
+    check_confidence,
+    faded,
+    floor_of,
+    styles_of,
+)
 
-INK: Final = "#1f2937"
 PICTURE_WIDTH: Final = 10.0  # inches, of few floors
 LEAST_CELL: Final = 3.2  # inches, a floor of many
 CAPTION_HEIGHT, LEGEND_HEIGHT = 0.3, 0.5  # inches
@@ -48,7 +55,7 @@ SOUND: Final[dict[str, Any]] = {"edgecolor": "none", "zorder": 1}  # patches of 
 ODD: Final[dict[str, Any]] = {"edgecolor": "#ffffff", "linewidth": 0, "hatch": "///", "zorder": 1}
 MISSING: Final[dict[str, Any]] = {
     "fill": False,
-    "edgecolor": "#111111",
+    "edgecolor": MISSING_COLOUR,
     "linestyle": "--",
     "zorder": 3.5,
 }

@@ -22,11 +22,8 @@ from sg3d_jax.viz.outline import (
     middle_of,
     plan_of,
 )
-from sg3d_jax.viz.style import faded, floor_of, styles_of
+from sg3d_jax.viz.style import CAPTION_COLOUR, INK, MISSING_COLOUR, faded, floor_of, styles_of
 
-INK: Final = "#1f2937"
-MISSING_COLOUR: Final = "#111111"
-CAPTION_COLOUR: Final = "#475467"
 NAME_SIZE, CAPTION_SIZE = 11, 13  # pixels
 SEGMENT_WIDTH, LINE_WIDTH = 1.5, 3.0  # pixels
 CAPTION_ROOM: Final = 1.15  # height of a cell, in that of what it shows
