@@ -162,9 +162,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--fit", action="store_true")
     arguments = parser.parse_args()
-    trained = load_weights(arguments.weights)
-    if arguments.diffusion_steps is not None:
-        trained = with_diffusion_steps(trained, arguments.diffusion_steps)
+    trained = with_diffusion_steps(load_weights(arguments.weights), arguments.diffusion_steps)
     if arguments.fit:
         prior, sharpness = fitted(trained, arguments.data, arguments.scenes, arguments.seed)
         print(f"PRIOR {prior:.2f} (now {confidence.PRIOR}), ", end="")

@@ -51,9 +51,7 @@ def compile_growth(
     check_at_most("--samples", samples, MAX_SAMPLES)
     check_output(output, ARCHIVES)
     run_code(code)
-    trained = load_weights(weights)
-    if diffusion_steps is not None:
-        trained = with_diffusion_steps(trained, diffusion_steps)
+    trained = with_diffusion_steps(load_weights(weights), diffusion_steps)
     model = trained.model
     if not isinstance(model, Flagg):
         given = model.ontology.observed_plural

@@ -90,6 +90,7 @@ def complete(
     from sg3d_jax.io.attributes import check_attributes
     from sg3d_jax.io.formats import check_writable, read_with_attributes
     from sg3d_jax.scene.graph import ontology_of
+    from sg3d_jax.train.weights import load_weights, with_diffusion_steps
 
     check_at_least("--samples", samples, 1)
     check_at_least("--candidates", 1 if candidates is None else candidates, 1)
@@ -100,7 +101,7 @@ def complete(
     check_output(picture, PICTURES)
     initialise(coordinator, num_processes, process_id)
     run_code(code)
-    trained = _trained(weights, diffusion_steps)
+    trained = with_diffusion_steps(load_weights(weights), diffusion_steps)
     with to_read(planes) as (source, called):
         scenes = read_with_attributes(source, columns_in(columns), trained.model.ontology)
     names = [f"{called}: graph {index}" for index in range(len(scenes))]
@@ -194,14 +195,6 @@ def train(name: Positional[str], overrides: tyro.conf.Suppress[tuple[str, ...]] 
     if is_first():
         best = f"step {done.step}, which has the best validation FGW, {done.fgw:.4f}"
         print(f"{done.weights}: weights of {best}")
-
-
-def _trained(weights: str, diffusion_steps: int | None) -> Any:
-    """Loads weights, with another number of sampling steps if one is asked for."""
-    from sg3d_jax.train.weights import load_weights, with_diffusion_steps
-
-    trained = load_weights(weights)
-    return trained if diffusion_steps is None else with_diffusion_steps(trained, diffusion_steps)
 
 
 def _with_card(completions: list[Any], trained: Any) -> list[Any]:

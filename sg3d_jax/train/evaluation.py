@@ -133,9 +133,7 @@ def _trained(
     name: str, data: str | None, diffusion_steps: int | None, candidates: int
 ) -> Contender:
     """Returns completing by trained weights."""
-    trained = load_weights(name)
-    if diffusion_steps is not None:
-        trained = with_diffusion_steps(trained, diffusion_steps)
+    trained = with_diffusion_steps(load_weights(name), diffusion_steps)
     config, source = trained.config, trained.config.data
     if data is None and len(source.names) > 1:
         raise ValueError(f"{name} is not of one data set, expected --data with one")

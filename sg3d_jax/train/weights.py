@@ -117,12 +117,18 @@ def load_weights(name_or_path: str | Path = DEFAULT_WEIGHTS) -> Trained:
     )
 
 
-def with_diffusion_steps(trained: Trained, steps: int) -> Trained:
+def with_diffusion_steps(trained: Trained, steps: int | None) -> Trained:
     """Returns the same weights, sampled with another number of diffusion steps of the topology.
+
+    Args:
+      trained: of `load_weights`.
+      steps: None for those that they have.
 
     Raises:
       ValueError: not in 1..S of the trained schedule, or a method that does not diffuse.
     """
+    if steps is None:
+        return trained
     model = with_sampling_steps(trained.config.model, steps)
     config = dataclasses.replace(trained.config, model=model)
     built = build_model(model, config.flagg, trained.statistics, config.ontology)
