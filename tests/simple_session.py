@@ -28,6 +28,13 @@ def begin(ontology: Any, seed: int = 0) -> Session:
     return Session({}, {}, {}, 0, seed)
 
 
+WARM: list[int] = []  # sizes of maps that were compiled for
+
+
+def warm_up(model: Any, params: Any, num_observed: int) -> None:
+    WARM.append(num_observed)
+
+
 def update(
     model: Any, params: Any, session: Session, changes: Changes
 ) -> tuple[Session, GraphChanges]:
@@ -97,7 +104,7 @@ def install(patch: Any = None) -> None:
     from sg3d_jax.train import weights
 
     module = ModuleType("sg3d_jax.infer.session")
-    for function in (begin, update, graph_of, ids_of, nodes_of):
+    for function in (begin, warm_up, update, graph_of, ids_of, nodes_of):
         setattr(module, function.__name__, function)
     put = setattr if patch is None else patch.setattr
     put(weights, "load_weights", lambda name: TRAINED)

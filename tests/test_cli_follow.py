@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy.testing as npt
 import pytest
 
+from sg3d_jax.__main__ import Terminated
 from sg3d_jax.io import npz, stream
 from sg3d_jax.io.formats import read_with_attributes, write_graphs
 from sg3d_jax.scene.graph import observed_of
@@ -61,6 +62,13 @@ def test_every_line_is_answered_by_what_it_changes(capsys):
     assert answers[2]["events"] == [{"kind": "shrunk", "id": 1, "others": []}]
     assert answers[3]["removed"] == [0]
     assert answers[3]["remarks"] == ["a remark"]
+
+
+def test_what_a_map_needs_is_compiled_before_its_first_line_if_asked(monkeypatch, capsys):
+    monkeypatch.setattr(simple_session, "WARM", [])
+    source = write_lines("drive.jsonl", LINES)
+    assert follow(capsys, source, "--planes", 60) == follow(capsys, source)
+    assert simple_session.WARM == [60]
 
 
 def test_or_by_the_whole_graph_in_a_file(capsys):
@@ -176,20 +184,16 @@ def test_ctrl_c_ends_it_without_a_traceback(monkeypatch, capsys):
     assert err == "sg3d: interrupted\n"
 
 
-def test_sigterm_ends_it_as_a_shell_says_and_is_what_it_was_afterwards(monkeypatch, capsys):
+def test_sigterm_ends_it_with_all_that_was_answered_in_the_log(monkeypatch, capsys):
     def lines():
         yield json.dumps(LINES[0]).encode()
-        os.kill(os.getpid(), signal.SIGTERM)
-        yield json.dumps(LINES[1]).encode()
+        raise Terminated
 
-    before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(stream.sys, "stdin", SimpleNamespace(buffer=lines()))
-    with pytest.raises(SystemExit) as caught:
+    with pytest.raises(Terminated):
         run("follow", "--log", "log.jsonl")
-    assert caught.value.code == 143
     assert len(capsys.readouterr().out.splitlines()) == 1
     assert documents("log.jsonl") == LINES[:1]
-    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_closed_pipe_ends_it_quietly_with_all_in_the_log(monkeypatch, capsys):

@@ -17,7 +17,6 @@ from sg3d_jax.cli.arguments import (
     check_output,
     run_code,
 )
-from sg3d_jax.cli.progress import ended_by_sigterm
 from sg3d_jax.train import DEFAULT_WEIGHTS
 
 LINES: Final = (".jsonl",)
@@ -30,6 +29,7 @@ def follow(
     graphs: bool = False,
     seed: int = 0,
     diffusion_steps: int = 8,
+    planes: int = 0,
     log: Path | None = None,
     code: Code = (),
 ) -> None:
@@ -47,17 +47,19 @@ def follow(
       graphs: write the whole graph every time, and not what has changed.
       seed: another seed draws other samples.
       diffusion_steps: sampling steps of the topology; fewer are faster.
+      planes: compile ahead what maps of up to so many planes need, so that no answer waits for it;
+        else it is compiled when it is first needed.
       log: keep every line in this file before it is answered. If there are some in it already, the
         map begins with them: with the same weights and options it goes on as it was, bit for bit.
       code: Python files to run first, which register the methods of your own weights.
     """
     from sg3d_jax.flagg.step import Flagg
-    from sg3d_jax.infer.session import begin
-    from sg3d_jax.io.stream import Heard, lines_of
+    from sg3d_jax.io.stream import lines_of
     from sg3d_jax.train.weights import load_weights, with_diffusion_steps
 
     check_at_least("--seed", seed, 0)
     check_at_least("--diffusion-steps", diffusion_steps, 1)
+    check_at_least("--planes", planes, 0)
     check_output(output, LINES)
     check_output(log, LINES)
     lines = lines_of(source)
@@ -67,17 +69,26 @@ def follow(
         given = trained.model.ontology.observed_plural
         raise ValueError(f"{weights} completes {given} alone, expected weights of what grows")
     trained = with_diffusion_steps(trained, diffusion_steps)
-    state = begin(trained.model.ontology, seed), Heard()
-    with ended_by_sigterm():
-        if log is not None and log.exists():
-            _drop_half_line(log)
-            for where, line in lines_of(str(log)):
-                state, _ = _followed(trained, *state, line, where)
-        with _kept_in(log) as keep, _opened(output) as file:
-            for where, line in lines:
-                state, changes = _followed(trained, *state, line, where)
-                keep(line)
-                _answer(_whole(state[0]) if graphs else changes, file)
+    state = _begun(trained, seed, planes)
+    if log is not None and log.exists():
+        _drop_half_line(log)
+        for where, line in lines_of(str(log)):
+            state, _ = _followed(trained, *state, line, where)
+    with _kept_in(log) as keep, _opened(output) as file:
+        for where, line in lines:
+            state, changes = _followed(trained, *state, line, where)
+            keep(line)
+            _answer(_whole(state[0]) if graphs else changes, file)
+
+
+def _begun(trained: Any, seed: int, planes: int) -> tuple[Any, Any]:
+    """Returns what is known before the first line, once what so many planes need is compiled."""
+    from sg3d_jax.infer.session import begin, warm_up
+    from sg3d_jax.io.stream import Heard
+
+    if planes:
+        warm_up(trained.model, trained.params, planes)
+    return begin(trained.model.ontology, seed), Heard()
 
 
 def _followed(

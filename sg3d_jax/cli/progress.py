@@ -7,8 +7,8 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Generator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from rich.progress import (
 from rich.text import Text
 
 from sg3d_jax.cli.arguments import STANDARD, counted
+from sg3d_jax.data.watching import watch
 
 
 class _Rate(ProgressColumn):
@@ -53,25 +54,31 @@ def progress(total: int, noun: str, quiet: bool = False) -> Generator[Callable[[
 
 
 @contextmanager
-def ended_by_sigterm() -> Generator[None]:
-    """Ends the block as Ctrl-C does, so that files are closed, with the exit code of a shell."""
+def shown_data(quiet: bool) -> Generator[None]:
+    """Shows how far data sets have come that are made in the block, whatever ends it."""
+    with ExitStack() as bars:
 
-    def end(number: int, _: Any) -> None:
-        raise SystemExit(128 + number)
+        def each(items: Sequence[Any], noun: str) -> Iterator[Any]:
+            return bars.enter_context(closing(_each_of(items, noun, quiet)))
 
-    before = signal.signal(signal.SIGTERM, end)
-    try:
+        token = watch.set(each)
+        bars.callback(watch.reset, token)
         yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+
+
+def _each_of(items: Sequence[Any], noun: str, quiet: bool) -> Generator[Any]:
+    """Yields items, and shows how many are done."""
+    with progress(len(items), noun, quiet) as advance:
+        for item in items:
+            yield item
+            advance()
 
 
 @contextmanager
 def lines_to(path: Path, total: int, noun: str = "graph") -> Generator[Callable[[Any], None]]:
     """Gives what writes a document as a line of a file, or of standard output, at once.
 
-    If the block ends before so many are written, however it ends, it is said how many are. SIGTERM
-    ends it as Ctrl-C does.
+    If the block ends before so many are written, however it ends, it is said how many are.
 
     Raises:
       OSError: the file cannot be written.
@@ -91,8 +98,7 @@ def lines_to(path: Path, total: int, noun: str = "graph") -> Generator[Callable[
         written += 1
 
     try:
-        with ended_by_sigterm():
-            yield write
+        yield write
     finally:
         if file is not sys.stdout:
             with suppress(OSError):  # all that was written is flushed; what failed is told

@@ -308,7 +308,7 @@ class _Work:
         self._waiting: dict[Capacity, list[Job]] = {}
         self._under_way: dict[Future[list[Finished]], tuple[Capacity, list[Job]]] = {}
         self._pool = ThreadPoolExecutor(num_workers())
-        self._run = _as_here(runner.run)
+        self._run = as_here(runner.run)
 
     def begin(self, place: int) -> None:
         """Begins a scene."""
@@ -394,7 +394,7 @@ def _in_order(work: _Work, count: int) -> Generator[Any]:
         work.stop()
 
 
-def _as_here(run: Callable[..., Any]) -> Callable[..., Any]:
+def as_here(run: Callable[..., Any]) -> Callable[..., Any]:
     """Returns a function for other threads, in which JAX is told what it is told in this one.
 
     Such as by `jax.default_device`.

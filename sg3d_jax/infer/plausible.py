@@ -31,13 +31,12 @@ SQUARE: Final = 0.2  # share by which a room is off square
 
 
 class Layout(NamedTuple):
-    """Planes seen from above."""
+    """Planes seen from above, where (x, y) is the number x + iy."""
 
-    normal: np.ndarray  # float[n, 2], unit
+    place: np.ndarray  # complex[n], middle as seen from the first, metres
+    height: np.ndarray  # float[n], metres
+    normal: np.ndarray  # complex[n], unit
     width: np.ndarray  # float[n], metres
-    ahead: np.ndarray  # float[n, n], how far the other (column) is before one (row), metres
-    beside: np.ndarray  # float[n, n], how far it is along it
-    level: np.ndarray  # bool[n, n], whether both are of one storey
     front: np.ndarray  # float[n], how far before each is the nearest opposite it; or infinity
     back: np.ndarray  # float[n], how far behind it
 
@@ -50,20 +49,19 @@ def layout(graph: SceneGraph) -> Layout:
     """
     nodes, ontology = graph.nodes, ontology_of(graph)
     rows = nodes.observed & (ontology.has("normal") & ontology.has("width"))[nodes.label]
-    position, normal, width = nodes.position[rows], nodes.normal[rows, :2], nodes.width[rows]
-    place, height = position[:, :2] - position[:1, :2], position[:, 2]
-    along = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
-    ahead, beside = (
-        axis @ place.T - np.sum(axis * place, axis=1, keepdims=True) for axis in (normal, along)
-    )
-    level = np.abs(height - height[:, None]) < STOREY
-    overlap = (width[:, None] + width) / 2 - np.abs(beside)
-    opposite = (normal @ normal.T < OPPOSITE) & level & (overlap > OVERLAP)
-    front, back = (
-        np.min(distance, axis=1, initial=np.inf, where=opposite & (distance > TOUCHING))
-        for distance in (ahead, -ahead)
-    )
-    return Layout(normal, width, ahead, beside, level, front, back)
+    (x, y, height), width = nodes.position[rows].T, nodes.width[rows]
+    place, normal = x + 1j * y, nodes.normal[rows, 0] + 1j * nodes.normal[rows, 1]
+    place -= place[:1]
+    cosine = np.outer(normal.real, normal.real) + np.outer(normal.imag, normal.imag)
+    plane, other = np.nonzero((cosine < OPPOSITE) & _of_one_storey(height))
+    seen = normal[plane].conj() * (place[other] - place[plane])
+    overlap = (width[plane] + width[other]) / 2 - np.abs(seen.imag)
+    nearest = []
+    for distance in (seen.real, -seen.real):
+        chosen, of_each = (overlap > OVERLAP) & (distance > TOUCHING), np.full(len(width), np.inf)
+        np.minimum.at(of_each, plane[chosen], distance[chosen])
+        nearest.append(of_each)
+    return Layout(place, height, normal, width, *nearest)
 
 
 def look_flipped(planes: Layout) -> tuple[int, int] | None:
@@ -132,12 +130,22 @@ def _are_one_number(planes: Layout) -> bool:
 
 def _num_crossed(planes: Layout) -> int:
     """Returns how many planes pass through another, by more than noise on all four sides."""
-    cosine = planes.normal @ planes.normal.T
-    x, y = planes.normal.T
-    sine = x[:, None] * y - y[:, None] * x
-    crosses = (np.abs(sine) > PARALLEL) & planes.level
-    sine = np.where(crosses, sine, 1.0)
     reach = planes.width / 2 - CROSSING
-    on_other = np.abs(planes.ahead / sine) < reach
-    on_one = np.abs(planes.beside - planes.ahead * cosine / sine) < reach[:, None]
-    return int(np.sum(np.any(crosses & on_other & on_one, axis=1)))
+    both = reach[:, None] + reach
+    is_near = _of_one_storey(planes.height)
+    for axis in (planes.place.real, planes.place.imag):
+        is_near &= np.abs(axis[:, None] - axis) < both
+    plane, other = np.nonzero(is_near)
+    facing = planes.normal[plane].conj()
+    turned = facing * planes.normal[other]
+    crosses = np.abs(turned.imag) > PARALLEL
+    plane, other, facing, turned = (each[crosses] for each in (plane, other, facing, turned))
+    seen = facing * (planes.place[other] - planes.place[plane])
+    on_other = np.abs(seen.real / turned.imag) < reach[other]
+    on_one = np.abs(seen.imag - seen.real * turned.real / turned.imag) < reach[plane]
+    return len(np.unique(plane[on_other & on_one]))
+
+
+def _of_one_storey(height: np.ndarray) -> np.ndarray:
+    """Returns bool[n, n], which planes are of one storey."""
+    return np.abs(height - height[:, None]) < STOREY

@@ -166,23 +166,6 @@ def followed(
     return now
 
 
-def observed_below(
-    part_of: np.ndarray, label: np.ndarray, ontology: Ontology, parts: np.ndarray
-) -> frozenset[int]:
-    """Returns the rows of what is observed below some nodes, or among them.
-
-    Args:
-      part_of: bool[n, n], part and whole.
-      label: int[n].
-      ontology: the concepts; parts have lesser labels than their wholes.
-      parts: bool[n], the nodes.
-    """
-    below = parts.copy()
-    for concept in range(ontology.num_concepts - 1, -1, -1):
-        below |= part_of[:, below & (label == concept)].any(axis=1)
-    return frozenset(np.flatnonzero(below & ontology.is_observed[label]).tolist())
-
-
 def _overlaid(known: Map, region: Region, drawn: SceneGraph) -> _Overlay:
     """Brings a map and a draw to common rows."""
     num_known, num_given = len(known.graph.nodes.label), len(region.rows)
@@ -262,8 +245,16 @@ def _refused(
     """
     if is_banned is None:
         return np.zeros(wholes.shape[1], bool)
-    below = [observed_below(part_of, over.label, over.ontology, one) for one in wholes.T]
+    below = [_observed_below(part_of, over, one) for one in wholes.T]
     return np.array([is_banned(concept, rows) for rows in below], bool)
+
+
+def _observed_below(part_of: np.ndarray, over: _Overlay, parts: np.ndarray) -> frozenset[int]:
+    """Returns the rows of what is observed below some nodes, bool[m], or among them."""
+    below = parts.copy()
+    for concept in range(over.ontology.num_concepts - 1, -1, -1):
+        below |= part_of[:, below & (over.label == concept)].any(axis=1)
+    return frozenset(np.flatnonzero(below & over.ontology.is_observed[over.label]).tolist())
 
 
 def _go_on_as(says: np.ndarray, over: _Overlay, part_of: np.ndarray, concept: int) -> np.ndarray:

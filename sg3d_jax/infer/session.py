@@ -10,12 +10,16 @@ is so drawn twice in a row is taken over; what is drawn as it is stands where al
 in the mean. That is for when the robot stands, or is done.
 
 A session is a pytree and an update a pure function: the same changes give the same map, bit for
-bit. The part on the device runs in a few buckets of fixed size, however large the map.
+bit. Its arrays are as long as the map has nodes, on the host: ids, pieces and what goes on as what
+are sets and matches of a few rows, which a padded array would make no faster. What is compiled is
+the growing of a region alone, in a few buckets of fixed size, however large the map; `warm_up`
+compiles them ahead.
 
 Source: paper, Sec. "Conclusion" (real-time robotics as the next step). The rest is ours.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final, NamedTuple
 
 import jax
@@ -23,20 +27,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from sg3d_jax.fill.protocol import Params
-from sg3d_jax.flagg.grow import HALTED, grow_lanes
+from sg3d_jax.flagg.grow import HALTED, Grown, grow_lanes
 from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.confidence import likely
 from sg3d_jax.infer.continuity import Seen, carried
 from sg3d_jax.infer.intake import taken_in
-from sg3d_jax.infer.lanes import root_key
+from sg3d_jax.infer.lanes import as_here, num_workers, root_key
 from sg3d_jax.infer.region import Region, region_of, whole_region
-from sg3d_jax.infer.revision import (
-    Map,
-    Tracks,
-    observed_below,
-    revised,
-    without,
-)
+from sg3d_jax.infer.revision import Map, Tracks, revised, without
+from sg3d_jax.metrics.calibration import observed_below
 from sg3d_jax.scene.changes import MERGED, SHRUNK, SPLIT, Changes, Event, GraphChanges, GrownNode
 from sg3d_jax.scene.cut import Pieces, cut_observed, joined, of_pieces
 from sg3d_jax.scene.graph import (
@@ -45,13 +44,13 @@ from sg3d_jax.scene.graph import (
     features_of,
     make_graph,
     ontology_of,
-    part_of_matrix,
     parts_first,
     subgraph,
 )
 from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.scene.padding import (
     NODE_CAPACITIES,
+    Capacity,
     bucket,
     centre_of_observed,
     moved_by,
@@ -145,6 +144,29 @@ def update(
         else:
             after = _revised(after, region, drawn)
     return after, _differences(session, after, heir, remarks)
+
+
+def warm_up(model: Flagg, params: Params, num_observed: int) -> None:
+    """Compiles ahead, side by side, what updates of maps up to a size need.
+
+    Args:
+      model: grows.
+      params: its parameters.
+      num_observed: nodes that are observed at most, where one that is cut counts as its pieces.
+
+    Raises:
+      ValueError: a map of so many exceeds the largest bucket.
+    """
+    largest = bucket(max(LEAST, int(1.8 * num_observed) + SPARE))
+    capacities = [bucket(size) for size in NODE_CAPACITIES if LEAST <= size <= largest.nodes]
+    observed = np.flatnonzero(model.ontology.is_observed)[[0, 0]]
+    given = make_graph(observed, np.zeros((2, 3)), ontology=model.ontology)
+
+    def compiled(capacity: Capacity) -> None:
+        _grown(model, params, (0, 0), given, capacity, MOST_STEPS)  # ends with the first block
+
+    with ThreadPoolExecutor(num_workers()) as pool:
+        list(pool.map(as_here(compiled), capacities))
 
 
 def graph_of(session: Session) -> SceneGraph:
@@ -255,9 +277,8 @@ def _decided(
     firm[[row_of[one] for one in changes.confirmed]] = True
     forbidden = [row_of[one] for one in changes.forbidden]
     heir, banned = dict(changes.merged), list(session.banned)
-    part_of = part_of_matrix(graph)
     for row in forbidden:
-        below = [*observed_below(part_of, label, ontology_of(graph), part_of[:, row])]
+        below = np.flatnonzero(observed_below(graph)[row])  # observed nodes come first
         due[below] = True
         ids = frozenset(session.ids[owner] for owner in session.pieces.owner[below])
         banned.append((int(label[row]), ids))
@@ -279,17 +300,16 @@ def _region(known: Map, think: bool) -> Region | None:
 
 def _drawn(model: Flagg, params: Params, session: Session, region: Region) -> SceneGraph | None:
     """Returns a region with what a model grows on it; None if it does not come to an end."""
-    key = jax.random.fold_in(root_key(session.seed), session.updates)
     given = subgraph(session.known.graph, region.rows)
     centre, num_given = centre_of_observed(given), len(region.rows)
     size = max(LEAST, num_given + SPARE, int(1.8 * given.nodes.observed.sum()) + 8)
     if size > NODE_CAPACITIES[-1]:
         return None
-    graphs, steps = stack([moved_by(given, -centre)], bucket(size)), jnp.zeros(1, jnp.int32)
-    grown = grow_lanes(model, params, key[None], graphs, steps, MOST_STEPS, False)
-    if int(grown.halt_reason[0]) != HALTED:
+    numbers = session.seed, session.updates
+    grown = _grown(model, params, numbers, moved_by(given, -centre), bucket(size))
+    if grown.halt_reason != HALTED:
         return None
-    drawn = unpad(jax.tree.map(lambda leaf: np.asarray(leaf)[0], grown.graph))
+    drawn = unpad(grown.graph)
     pairs = parts_first(drawn)
     return extended(
         given,
@@ -297,6 +317,31 @@ def _drawn(model: Flagg, params: Params, session: Session, region: Region) -> Sc
         np.asarray(drawn.nodes.position, np.float64)[num_given:] + centre,
         pairs[(pairs >= num_given).any(axis=1)],
     )
+
+
+def _grown(
+    model: Flagg,
+    params: Params,
+    numbers: tuple[int, int],
+    given: SceneGraph,
+    capacity: Capacity,
+    steps: int = 0,
+) -> Grown:
+    """Grows a centred host graph; returns it padded, on the host.
+
+    Args:
+      model: grows.
+      params: its parameters.
+      numbers: the seed, and the number of the update.
+      given: what there is.
+      capacity: the bucket.
+      steps: of `MOST_STEPS`, those that it has had.
+    """
+    seed, update = numbers
+    key = jax.random.fold_in(root_key(seed), update)
+    graphs, before = stack([given], capacity), jnp.full(1, steps, jnp.int32)
+    grown = grow_lanes(model, params, key[None], graphs, before, MOST_STEPS, False)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], grown)
 
 
 def _revised(session: Session, region: Region, drawn: SceneGraph) -> Session:

@@ -88,30 +88,31 @@ class Pieces(NamedTuple):
 
 
 class _Planes(NamedTuple):
-    """Vertical planes from above."""
+    """Vertical planes from above, where (x, y) is the number x + iy."""
 
-    middle: np.ndarray  # float[n, 2], metres
-    normal: np.ndarray  # float[n, 2]
+    middle: np.ndarray  # complex[n], metres
+    normal: np.ndarray  # complex[n]
     half: np.ndarray  # float[n], half the width, metres
     height: np.ndarray  # float[n], metres
 
     @property
     def along(self) -> np.ndarray:
-        """float[n, 2], unit, the direction in which each runs."""
-        return np.stack([-self.normal[:, 1], self.normal[:, 0]], axis=-1)
+        """complex[n], unit, the direction in which each runs."""
+        return 1j * self.normal
 
 
 class _Views(NamedTuple):
-    """Each plane, second, as seen from each, first: float[n, n] all, lengths in metres."""
+    """Planes, second, as seen from others, first: float of one shape all, lengths in metres."""
 
     front: np.ndarray  # how far the middle of the second lies before the first
     along: np.ndarray  # how far along it
     cosine: np.ndarray  # of the angle between them
     slope: np.ndarray  # how fast one gets away from the first going along the second
 
-    def at(self, pairs: tuple[np.ndarray, ...]) -> np.ndarray:
-        """float[m], where the lines of m pairs cross, metres from the middle along the first."""
-        return self.along[pairs] - self.front[pairs] * self.cosine[pairs] / self.slope[pairs]
+    @property
+    def at(self) -> np.ndarray:
+        """Where the lines of both cross, metres from the middle along the first."""
+        return self.along - self.front * self.cosine / self.slope
 
 
 class _Meetings(NamedTuple):
@@ -146,8 +147,9 @@ def cut_observed(graph: SceneGraph, rules: CutRules = CUTS) -> Pieces:
     observed = np.flatnonzero(nodes.observed)
     is_plane = ontology.has("normal") & ontology.has("width")
     rows = observed[is_plane[nodes.label[observed]]]
-    position, normal = nodes.position[rows], nodes.normal[rows, :2]
-    planes = _Planes(position[:, :2], normal, nodes.width[rows] / 2, position[:, 2])
+    x, y, height = nodes.position[rows].T
+    normal = nodes.normal[rows, 0] + 1j * nodes.normal[rows, 1]
+    planes = _Planes(x + 1j * y, normal, nodes.width[rows] / 2, height)
     free = ~np.isin(rows, undirected_edges(graph, PART_OF))
     cuts = _cuts(planes, free, rules)
     owner = np.sort(np.concatenate([observed, rows[cuts.plane]]))
@@ -155,7 +157,8 @@ def cut_observed(graph: SceneGraph, rules: CutRules = CUTS) -> Pieces:
     is_cut = np.isin(owner, rows[cuts.plane])
     start, stop = _between(cuts, planes.half)
     along = planes.along[np.searchsorted(rows, owner[is_cut])]
-    position[is_cut, :2] += ((start + stop) / 2)[:, None] * along
+    moved = (start + stop) / 2 * along
+    position[is_cut, :2] += np.stack([moved.real, moved.imag], axis=1)
     width[is_cut] = stop - start
     return Pieces(owner, position, width)
 
@@ -226,7 +229,7 @@ def _cuts(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Cuts:
     """Returns where planes are cut, of those that are free to be."""
     met = _meetings(planes, free, rules)
     plane, at = met.plane, met.at
-    ahead = np.sum(planes.along[plane] * planes.normal[met.other], axis=1) > 0
+    ahead = (planes.along[plane].conj() * planes.normal[met.other]).real > 0
     order = np.lexsort((ahead, at, plane))
     plane, at, ahead = plane[order], at[order], ahead[order]
     # What follows closely is one wall: two faces that look away from each other, as thick as walls
@@ -241,58 +244,67 @@ def _cuts(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Cuts:
 
 def _meetings(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Meetings:
     """Returns where planes that are free to be cut are met at their front."""
-    views = _views(planes)
-    crosses = np.abs(views.cosine) < rules.parallel
-    level = np.abs(planes.height[:, None] - planes.height) <= rules.storey
-    sound = ~_overhanging(planes, views, crosses & level, rules)
-    reach = planes.half * np.abs(views.slope)
-    near = views.front - reach
-    width = 2 * planes.half
+    plane, other = _crossing(planes, rules)
+    views = _views(planes, plane, other)
+    sound = ~_overhanging(planes, plane, other, rules)
+    reach = planes.half[other] * np.abs(views.slope)
+    near, at, width = views.front - reach, views.at, 2 * planes.half[other]
     comes = near <= np.maximum(np.minimum(rules.gap, rules.lost * width), rules.share * width)
     reaches = views.front + reach - np.maximum(near, 0) >= rules.depth
-    pairs = np.nonzero((free & sound)[:, None] & sound & crosses & level & comes & reaches)
-    at, (plane, other) = views.at(pairs), pairs
     room = planes.half[plane] - rules.least - rules.heading * planes.half[other]
-    within = np.abs(at) <= room
-    met = _Meetings(plane[within], other[within], at[within], near[pairs][within])
+    within = (free & sound)[plane] & sound[other] & comes & reaches & (np.abs(at) <= room)
+    met = _Meetings(plane[within], other[within], at[within], near[within])
     doubtful = np.flatnonzero(met.rest > rules.touch)
     some = _Meetings(*(field[doubtful] for field in met))
-    ends = _screened(planes, views, some, rules) | _turned(planes, views, some, rules)
-    refuted = np.any(ends & level[some.plane], axis=1)
+    level = np.abs(planes.height[some.plane, None] - planes.height) <= rules.storey
+    ends = _screened(planes, some, rules) | _turned(planes, some, rules)
+    refuted = np.any(ends & level, axis=1)
     return _Meetings(*(np.delete(field, doubtful[refuted]) for field in met))
 
 
-def _views(planes: _Planes) -> _Views:
-    """Returns each plane as seen from each."""
-    own_front = np.sum(planes.middle * planes.normal, axis=1)
-    own_along = np.sum(planes.middle * planes.along, axis=1)
-    return _Views(
-        front=planes.normal @ planes.middle.T - own_front[:, None],
-        along=planes.along @ planes.middle.T - own_along[:, None],
-        cosine=planes.normal @ planes.normal.T,
-        slope=planes.normal @ planes.along.T,
-    )
+def _crossing(planes: _Planes, rules: CutRules) -> tuple[np.ndarray, np.ndarray]:
+    """Returns int[m] each, the pairs of planes of one storey that may meet and are not parallel.
+
+    Most are too far apart for anything else to be asked of them.
+    """
+    widest = np.maximum(rules.gap, 2 * rules.share * planes.half)
+    reach = planes.half + widest / np.sqrt(1 - rules.parallel**2)
+    reach = reach[:, None] + reach
+    is_near = np.abs(planes.height[:, None] - planes.height) <= rules.storey
+    for axis in (planes.middle.real, planes.middle.imag):
+        is_near &= np.abs(axis[:, None] - axis) <= reach
+    plane, other = np.nonzero(is_near)
+    crosses = np.abs(_views(planes, plane, other).cosine) < rules.parallel
+    return plane[crosses], other[crosses]
+
+
+def _views(planes: _Planes, plane: np.ndarray, other: np.ndarray) -> _Views:
+    """Returns some planes as seen from others; rows that broadcast against each other."""
+    facing = planes.normal[plane].conj()
+    seen = facing * (planes.middle[other] - planes.middle[plane])
+    turned = facing * planes.normal[other]
+    return _Views(seen.real, seen.imag, turned.real, -turned.imag)
 
 
 def _overhanging(
-    planes: _Planes, views: _Views, crosses: np.ndarray, rules: CutRules
+    planes: _Planes, plane: np.ndarray, other: np.ndarray, rules: CutRules
 ) -> np.ndarray:
     """Returns which planes are of storeys that were shrunk but kept their widths, bool[n].
 
     Args:
       planes: n of them.
-      views: of the planes.
-      crosses: bool[n, n], which are of one storey and not parallel.
+      plane: int[m], of the pairs that cross on one storey, and
+      other: int[m], what crosses it.
       rules: how well overhangs agree.
     """
-    plane, other = pairs = np.nonzero(crosses)
-    at, half, half_other = views.at(pairs), planes.half[plane], planes.half[other]
-    beyond, beyond_other = half - np.abs(at), half_other - np.abs(views.at(pairs[::-1]))
+    views, back = _views(planes, plane, other), _views(planes, other, plane)
+    at, half, half_other = views.at, planes.half[plane], planes.half[other]
+    beyond, beyond_other = half - np.abs(at), half_other - np.abs(back.at)
     # One that ends at another is as wide as it seems: a line of wall of a regular building.
     ends = (np.abs(beyond) <= rules.even) & (beyond_other >= -rules.even)
     has_end = np.isin(np.arange(len(planes.half)), plane[ends])
     through = np.minimum(beyond, beyond_other) > rules.even
-    inward = at * views.slope[pairs] > 0
+    inward = at * views.slope > 0
     is_even = np.abs(beyond * half_other - beyond_other * half) <= rules.even * half
     corner = np.flatnonzero(through & inward & is_even & ~has_end[plane])
     corner = corner[np.lexsort((np.abs(at[corner]), plane[corner]))]
@@ -305,24 +317,25 @@ def _overhanging(
     return found
 
 
-def _screened(planes: _Planes, views: _Views, met: _Meetings, rules: CutRules) -> np.ndarray:
+def _screened(planes: _Planes, met: _Meetings, rules: CutRules) -> np.ndarray:
     """Returns bool[m, n], which planes run alongside the one that is met, before where it is."""
-    front, cosine = views.front[met.plane], views.cosine[met.plane]
-    covers = np.abs(met.at[:, None] - views.along[met.plane]) <= planes.half + rules.slack
+    views = _views(planes, met.plane[:, None], np.arange(len(planes.half)))
+    covers = np.abs(met.at[:, None] - views.along) <= planes.half + rules.slack
     # What looks the same way may be the plane itself, seen twice.
-    nearest = np.where(cosine < 0, rules.touch, rules.slack)
-    between = (front > nearest) & (front <= met.rest[:, None] + rules.slack)
-    return (np.abs(cosine) > rules.parallel) & covers & between
+    nearest = np.where(views.cosine < 0, rules.touch, rules.slack)
+    between = (views.front > nearest) & (views.front <= met.rest[:, None] + rules.slack)
+    return (np.abs(views.cosine) > rules.parallel) & covers & between
 
 
-def _turned(planes: _Planes, views: _Views, met: _Meetings, rules: CutRules) -> np.ndarray:
+def _turned(planes: _Planes, met: _Meetings, rules: CutRules) -> np.ndarray:
     """Returns bool[m, n], which planes make a corner with the one that meets, where it ends."""
-    toward = -np.sign(views.slope[met.plane, met.other]) * planes.half[met.other]
-    end = planes.middle[met.other] + toward[:, None] * planes.along[met.other]
-    along = end @ planes.along.T - np.sum(planes.middle * planes.along, axis=1)
-    front = end @ planes.normal.T - np.sum(planes.middle * planes.normal, axis=1)
-    distance = np.hypot(np.abs(along) - planes.half, front)  # to the nearer end of each
-    return (distance <= rules.slack) & (np.abs(views.cosine[met.other]) < rules.parallel)
+    slope = _views(planes, met.plane, met.other).slope
+    end = planes.middle[met.other]
+    end -= np.sign(slope) * planes.half[met.other] * planes.along[met.other]
+    seen = planes.normal.conj() * (end[:, None] - planes.middle)
+    cosine = (planes.normal.conj() * planes.normal[met.other, None]).real
+    distance = np.hypot(np.abs(seen.imag) - planes.half, seen.real)  # to the nearer end of each
+    return (distance <= rules.slack) & (np.abs(cosine) < rules.parallel)
 
 
 def _between(cuts: _Cuts, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -118,7 +118,7 @@ def test_a_scene_is_asked_again_until_it_has_enough():
 def test_all_threads_use_the_device_of_the_caller():
     """And what else JAX is told of one thread alone."""
     with jax.default_device(jax.devices()[1]):
-        run = lanes._as_here(lambda: jax.config.jax_default_device)
+        run = lanes.as_here(lambda: jax.config.jax_default_device)
     with ThreadPoolExecutor() as pool:
         assert pool.submit(run).result() == jax.devices()[1]
 

@@ -8,7 +8,6 @@ from sg3d_jax.infer.region import Region, whole_region
 from sg3d_jax.infer.revision import (
     Map,
     followed,
-    observed_below,
     pruned,
     revised,
     without,
@@ -235,15 +234,6 @@ def test_what_is_banned__does_not_come():
     known = known_as(drawn((*WEST, 4), EAST[1:]), due=[4])
     after = redrawn(known, drawn(WEST, EAST), is_banned=is_banned)
     assert (ROOM, {*WEST}) not in wholes(after).values()
-
-
-def test_what_is_observed_below__goes_down_all_the_way():
-    part_of, label = part_of_matrix(BOTH), BOTH.nodes.label
-    below = observed_below(part_of, label, PAPER_ONTOLOGY, np.isin(np.arange(12), [9]))
-    assert below == {*EAST}
-    assert observed_below(part_of, label, PAPER_ONTOLOGY, part_of[:, 11]) == {*WEST, *EAST}
-    part_of[:, 9] = False  # what has no part is not observed for that
-    assert observed_below(part_of, label, PAPER_ONTOLOGY, part_of[:, 11]) == {*WEST}
 
 
 def test_wholes_without_parts__go_unless_they_are_firm():
