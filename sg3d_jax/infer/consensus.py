@@ -7,6 +7,10 @@ observed below that is below the whole: a candidate that has another room there 
 floor it is on. Where two candidates differ, wholes that overlap are taken or left together, or a
 part would have two wholes, or none.
 
+Of wholes with parts of several concepts, those of the lowest say which whole it is, as planes do of
+a room. The others are put to the vote one by one, once wholes are elected: a chair that stands next
+door in some candidates does not cost the room its votes.
+
 Nothing is matched by FGW plans: what is observed is the same in all candidates and says which nodes
 stand for the same. Votes over nodes that plans match were tried, and are no better and far slower.
 
@@ -32,7 +36,14 @@ class Version(NamedTuple):
     """A whole, as some candidates have it."""
 
     row: int  # of a given one; of others, -1 less the number of equal ones before it
-    parts: frozenset[int]  # rows in the graph that is put together
+    parts: frozenset[int]  # rows in the graph that is put together, all of one concept
+
+
+class _Held(NamedTuple):
+    """What a candidate has of a version."""
+
+    row: int  # in the candidate
+    others: frozenset[int]  # parts of further concepts, rows in the graph that is put together
 
 
 class _Candidate(NamedTuple):
@@ -94,13 +105,15 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
             one for one in parts.tolist() if ontology.has_one_whole[draft.label[one], concept]
         }
         joined = adopted(chosen, wholes, single)
+        settled = {one for version in chosen for one in version.parts | joined[version]} & single
+        beside = _beside(chosen, ballots, settled)
         for version in sorted(chosen, key=lambda version: (sorted(version.parts), -version.row)):
             held = [
-                one.position[ballot[version]]
+                one.position[ballot[version].row]
                 for one, ballot in zip(candidates, ballots, strict=True)
                 if version in ballot
             ]
-            whole = Version(version.row, version.parts | joined[version])
+            whole = Version(version.row, version.parts | joined[version] | beside[version])
             draft = _with_whole(draft, whole, concept, np.mean(held, axis=0))
     return extended(given, draft.label[num_given:], draft.position, draft.pairs)
 
@@ -115,8 +128,8 @@ def _read(graph: SceneGraph, num_given: int) -> _Candidate:
 
 def _ballot(
     candidate: _Candidate, draft: _Draft, parts: np.ndarray, concept: int
-) -> Mapping[Version, int]:
-    """Returns the wholes of a concept as a candidate has them, and their rows in it.
+) -> Mapping[Version, _Held]:
+    """Returns the wholes of a concept as a candidate has them.
 
     Args:
       candidate: one of them.
@@ -129,14 +142,16 @@ def _ballot(
     holds = 2 * below @ candidate.below[wholes].T > below.sum(axis=1)[:, None]
     given = parts < draft.num_given
     holds[given] = candidate.edge[parts[given]][:, wholes]
+    label = np.array(draft.label)[parts]
     ballot, before = {}, Counter()
     for whole, held in zip(wholes.tolist(), holds.T, strict=True):
-        of_whole = frozenset(parts[held].tolist())
+        lowest = held & (label == label[held].min(initial=concept))
+        of_whole, others = (frozenset(parts[of].tolist()) for of in (lowest, held & ~lowest))
         if whole < draft.num_given:
-            ballot[Version(whole, of_whole)] = whole
+            ballot[Version(whole, of_whole)] = _Held(whole, others)
         elif of_whole:
             before[of_whole] += 1
-            ballot[Version(-before[of_whole], of_whole)] = whole
+            ballot[Version(-before[of_whole], of_whole)] = _Held(whole, others)
     return ballot
 
 
@@ -208,6 +223,57 @@ def adopted(
             if shared[best]:
                 joins[best].add(part)
     return joins
+
+
+def _beside(
+    chosen: AbstractSet[Version],
+    ballots: Sequence[Mapping[Version, _Held]],
+    settled: AbstractSet[int],
+) -> Mapping[Version, AbstractSet[int]]:
+    """Finds the parts of further concepts of the wholes that are elected.
+
+    A part joins those that most candidates have it in; if most have it in some, but none has so
+    many, that which has it most often.
+
+    Args:
+      chosen: the wholes that are elected.
+      ballots: the wholes of each candidate.
+      settled: parts that must not have another whole.
+
+    Returns:
+      What joins each of the chosen ones.
+    """
+    votes, voters = Counter(), Counter()
+    for ballot in ballots:
+        pairs = {
+            (part, alike)
+            for version, held in ballot.items()
+            if held.others and (alike := _alike(version, chosen))
+            for part in held.others - settled
+        }
+        votes.update(pairs)
+        voters.update({part for part, _ in pairs})
+    joins: dict[Version, set[int]] = {version: set() for version in chosen}
+    for part, number in voters.items():
+        if 2 * number > len(ballots):
+            best = max(chosen, key=lambda one: (votes[part, one], sorted(one.parts), one.row))
+            for one in chosen:
+                if one == best or 2 * votes[part, one] > len(ballots):
+                    joins[one].add(part)
+    return joins
+
+
+def _alike(version: Version, chosen: AbstractSet[Version]) -> Version | None:
+    """Returns the whole that one of a candidate stands for: the same, or that which shares most."""
+    if version in chosen:
+        return version
+
+    def nearness(one: Version) -> tuple[bool, int]:
+        return one.row == version.row >= 0, len(one.parts & version.parts)
+
+    near = [one for one in chosen if any(nearness(one))]
+    order = lambda one: (*nearness(one), sorted(one.parts), one.row)
+    return max(near, key=order, default=None)
 
 
 def _exchanges(

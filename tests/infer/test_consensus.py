@@ -1,5 +1,6 @@
 """What most candidates have is kept, part by part; what was given stays as it is."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -14,7 +15,7 @@ from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import make_graph, ontology_of, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, ROOM, WALL, Ontology, Rule
 from tests.drawn_rooms import drawn, with_pairs
-from tests.own_world import own_world
+from tests.own_world import NUM_OBSERVED, ONTOLOGY, own_world
 from tests.two_rooms import NUM_PLANES, two_rooms
 
 A, B, C, D = (0, 1), (2, 3), (4, 5), (6, 7)
@@ -120,6 +121,44 @@ def test_other_concepts_are_put_to_the_vote_too():
         graph, _ = consensus(order, observed)
         assert exact_structure(graph, world)
         assert ontology_of(graph) == ontology_of(world)
+
+
+def test_what_stands_in_a_room_does_not_decide_which_planes_it_has():
+    """Each of three has the pillars elsewhere, and two agree on pillars and on other rooms."""
+    world = own_world()
+    right = [world, with_pairs(world, lost=[(12, 15)], new=[(12, 16)])]
+    right.append(with_pairs(world, lost=[(13, 16)], new=[(13, 17)]))
+    wrong = with_pairs(world, lost=[(4, 16)], new=[(4, 15)])
+    candidates = [*right, wrong, wrong]
+    for first in range(5):
+        graph, _ = consensus([*candidates[first:], *candidates[:first]], NUM_OBSERVED)
+        assert exact_structure(graph, world)
+
+
+def test_what_may_stand_in_several_rooms_is_in_those_that_most_have_it_in():
+    """Two of three have the first pillar in both rooms, and place the second, in one or another."""
+    rules = [dataclasses.replace(rule, single=rule.part != "pillar") for rule in ONTOLOGY.rules]
+    joining = Ontology(ONTOLOGY.concepts, tuple(rules))
+
+    def stands(*rooms):
+        new = [*((12, room) for room in rooms[0]), *((13, room) for room in rooms[1])]
+        graph = with_pairs(own_world(), lost=[(12, 15), (13, 16)], new=new)
+        return graph._replace(globals=make_graph([], [], ontology=joining).globals)
+
+    graphs = [stands([15, 16], [15]), stands([15, 16], [16]), stands([17], [])]
+    graph, _ = consensus(graphs, NUM_OBSERVED)
+    assert exact_structure(graph, stands([15, 16], [16]))
+
+
+def test_a_candidate_with_other_planes_there_still_says_what_stands_in_a_room():
+    """And what one of three places alone is left alone."""
+    world = own_world()
+    expected = with_pairs(world, lost=[(13, 16)])
+    graphs = [with_pairs(world, lost=[(12, 15)]), expected]
+    graphs.append(with_pairs(expected, lost=[(0, 15)], new=[(0, 16)]))
+    for order in itertools.permutations(graphs):
+        graph, _ = consensus(order, NUM_OBSERVED)
+        assert exact_structure(graph, expected)
 
 
 def test_repeated_nodes_are_kept_if_most_repeat_them():
