@@ -36,6 +36,17 @@ def test_a_draw_is_compiled_without_a_loop():
     assert "while" not in lowered.as_text()
 
 
+def test_keys_of_a_split_are_computed_once():
+    """XLA would compute them again in every program that draws; JAX 0.12 never compiles that."""
+
+    def draw(key):
+        keys = jax.random.split(jax.random.split(unrolled(key), 3)[1], 3)
+        return jax.random.uniform(keys[0], (6, 65)), jax.random.normal(keys[1], (65,))
+
+    compiled = jax.jit(draw).lower(jax.random.key(0)).compile().as_text()
+    assert compiled.count(" shift-left(") <= 4 * 20  # rounds of two splits and two draws
+
+
 def test_keys_of_other_generators_stay_as_they_are():
     for impl in ("rbg", UNROLLED):
         key = jax.random.key(0, impl=impl)
