@@ -40,6 +40,8 @@ from tests.two_rooms import (
     with_garbage,
 )
 
+pytestmark = pytest.mark.slow
+
 SCENE = two_rooms()
 SCALES = Scales(1.0, 5.0, 10.0)
 SQUARE = ECSquareConfig(heads=2, width=4, decoder=(8,))

@@ -38,6 +38,8 @@ from tests.two_rooms import (
     two_rooms,
 )
 
+pytestmark = pytest.mark.slow
+
 STEPS = 3
 SIZES = MiDiOracleConfig(
     *(8, 1, 2, 8, 8, 1, 2),

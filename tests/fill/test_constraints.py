@@ -31,6 +31,8 @@ from sg3d_jax.scene.ontology import (
 from sg3d_jax.scene.padding import Block, append_block, unpad
 from tests.two_rooms import NUM_PLANES, on_device, two_rooms
 
+pytestmark = pytest.mark.slow
+
 SCENE = two_rooms()
 NODES = {"planes": NUM_PLANES, "wall": 9, "one room": 10, "two rooms": 11, "all": 12}
 CONCEPTS = range(PAPER_ONTOLOGY.num_concepts)

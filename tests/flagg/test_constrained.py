@@ -33,6 +33,8 @@ from tests.two_rooms import (
     two_rooms,
 )
 
+pytestmark = pytest.mark.slow
+
 SCENE = two_rooms()
 ROOM_FOR = Capacity(48, 800)
 NUMBER = 12
