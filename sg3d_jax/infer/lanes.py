@@ -18,6 +18,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Key
 
 from sg3d_jax.fill.protocol import Params, Terms
+from sg3d_jax.flagg.compiled import give_back_memory
 from sg3d_jax.flagg.grow import CAPACITY, Grown, grow_lanes
 from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.prepare import Scene
@@ -329,7 +330,9 @@ class _Work:
             capacity, jobs = self._under_way.pop(future)
             for job, result in zip(jobs, future.result(), strict=True):
                 self._take(job, result, capacity)
-            _programs.add(self._runner.program(capacity))
+            if (program := self._runner.program(capacity)) not in _programs:
+                _programs.add(program)
+                give_back_memory()
 
     def stop(self) -> None:
         """Begins nothing more, as after Ctrl-C."""

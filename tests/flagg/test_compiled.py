@@ -1,8 +1,13 @@
+import platform
+import resource
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from sg3d_jax.flagg.compiled import Compiled, quick_options
+from sg3d_jax.flagg.compiled import Compiled, give_back_memory, quick_options
 
 OPTIMISED = "jax_disable_most_optimizations"
 
@@ -31,3 +36,15 @@ def test_a_compiled_function__is_a_jitted_one(optimised):
     assert function(jnp.asarray(2.0), power=3) == 8
     assert function._cache_size() == 2
     assert "stablehlo" in function.lower(jnp.asarray(3.0), power=2).as_text()
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="others keep nothing")
+def test_memory_that_is_freed__is_given_back():
+    def held():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    blocks = [np.ones(1000) for _ in range(8000)]  # small: glibc keeps them, and the last on top
+    del blocks[:-1]
+    before = held()
+    give_back_memory()
+    assert held() < before - 50e6

@@ -138,11 +138,13 @@ def test_a_program_is_compiled_once_while_others_are_compiled_beside_it(monkeypa
     monkeypatch.setattr(lanes._Runner, "run", noted)
     monkeypatch.setattr(lanes, "_programs", set())
     monkeypatch.setattr(lanes, "num_workers", lambda: 2)
+    given_back = []
+    monkeypatch.setattr(lanes, "give_back_memory", lambda: given_back.append(1))
     completed(PARTS, stop_at(11))
     assert sorted(capacity.nodes for capacity in active) == [16, 24]
     monkeypatch.setattr(lanes, "growth_capacity", lambda *_: Capacity(24, 288))
     completed(PARTS, stop_at(11))
-    assert len(active) == 2
+    assert len(active) == len(given_back) == 2
 
 
 def test_what_goes_wrong_in_a_thread_is_told_and_nothing_more_is_begun(monkeypatch):
