@@ -72,6 +72,7 @@ def main() -> None:
         what, size, of, seconds = arguments.row
         print(json.dumps(MEASURES[what](Row(what, int(size), of), float(seconds))))
         return
+    arguments.output.mkdir(parents=True, exist_ok=True)  # now, not when all is measured
     ends = time.monotonic() + 60 * arguments.minutes
     device = measured(Row("products", 0), ends, waiting=2)
     if "failed" in device:
@@ -294,13 +295,15 @@ MEASURES: Final[dict[str, Callable[[Row, float], dict[str, Any]]]] = {
 
 
 def _data_of(trained: Any) -> str:
-    """Returns the data set of weights, as long as it can be generated here."""
+    """Returns the first data set that weights were trained on which can be generated here."""
     from sg3d_jax.data import registry
 
-    name = trained.config.data.name
-    if not registry.is_name(name):
-        raise ValueError(f"{trained.name} was trained on {name}, expected what can be generated")
-    return name
+    names = [part.name for part in trained.config.data.parts]
+    for name in names:
+        if registry.is_name(name) and registry.get(name).config is not None:
+            return name
+    problem = f"{trained.name} was trained on {' and '.join(names)}"
+    raise ValueError(f"{problem}, expected a set that can be generated")
 
 
 def _graphs_of_peer(count: int) -> tuple[Any, Any]:

@@ -101,6 +101,7 @@ def main() -> None:
         rows.append({"run": "2 x 2 killed, then 1 x 1", "digest": digest(directory)})
         print(rows[-1])
     if output is not None:
+        output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(json.dumps(rows, indent=2) + "\n")
     raise SystemExit(int(len({row["digest"] for row in rows}) > 1))
 

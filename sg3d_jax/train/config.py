@@ -49,6 +49,14 @@ class DataConfig:
             return dataclasses.replace(self, name=text)
         return dataclasses.replace(self, name=name + at + seen, num_graphs=int(count))
 
+    def anew(self, number: int) -> "DataConfig":
+        """The same sets, with all that is drawn of them drawn anew; as dealt as before.
+
+        Args:
+          number: of the draw; 0 for the first.
+        """
+        return dataclasses.replace(self, seed=self.seed + (number << 32))  # beyond seeds of users
+
     @property
     def label(self) -> str:
         """The name of the data, also where they are a file such as runs/p-f.npz."""
@@ -83,6 +91,7 @@ class Config:
     accumulate: int = 1  # batches a step, one after another or each on a device of its own
     steps_per_call: int = 50  # scanned in one compiled call
     capacities: tuple[int, ...] = (24, 48, 96)  # node buckets of the training set
+    fresh_every: int | None = None  # steps after which the training data are drawn anew, if ever
     validate_every: int = 2_500
     validation_graphs: int = 64
     validation_seed: int = 0
@@ -132,9 +141,9 @@ def check(config: Config) -> None:
       ValueError: one sentence that names the field and what was expected.
     """
     check_values(config)
-    for name in ("steps", "validate_every"):
+    for name in ("steps", "fresh_every", "validate_every"):
         value, unit = getattr(config, name), config.steps_per_call
-        if value % unit:
+        if value is not None and value % unit:
             raise ValueError(f"{name} is {value}, expected a multiple of steps_per_call, {unit}")
     check_growth(config)
     warmup, capacities = config.optimiser.warmup_steps, config.capacities

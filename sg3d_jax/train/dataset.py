@@ -1,9 +1,11 @@
 """A split of a data set as a few stacks of padded graphs on the device, one a size bucket."""
 
+import functools
 import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Final
 
 import jax
 import jax.numpy as jnp
@@ -112,13 +114,16 @@ def _check_top(name: str, top: int, ontology: Ontology, methods: Sequence[str]) 
             )
 
 
-def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> list[PackedGraph]:
+def stack_by_size(
+    graphs: Sequence[SceneGraph], capacities: Sequence[int], spare: float = 0.0
+) -> list[PackedGraph]:
     """Stacks complete host graphs with their proximity edges, each in the smallest bucket.
 
     Args:
       graphs: host graphs.
       capacities: node capacities in increasing order; larger graphs get further ones, each twice
         as large as the one before.
+      spare: edge slots for graphs to come (`stacks_like`), as a share of those that are needed.
 
     Returns:
       One stack a bucket that is used; as many edge slots as its graphs need.
@@ -130,15 +135,61 @@ def stack_by_size(graphs: Sequence[SceneGraph], capacities: Sequence[int]) -> li
     bucket_of = np.searchsorted(np.asarray(capacities), sizes)
 
     def stacked(bucket: int) -> PackedGraph:
-        members = [graphs[i] for i in np.flatnonzero(bucket_of == bucket)]
-        nodes = capacities[bucket]
-        room = nodes * min(nodes, 20)  # more than any union of 10 nearest neighbours has used
-        connected = jax.jit(jax.vmap(connect_observed))(stack(members, Capacity(nodes, room)))
-        needed = int(jnp.max(connected.n_edge[:, 0]))
-        return _with_edge_slots(connected, -(-needed // EDGE_ROUNDING) * EDGE_ROUNDING)
+        members = np.flatnonzero(bucket_of == bucket)
+        connected = _connected([graphs[i] for i in members], capacities[bucket])
+        needed = int(jnp.max(connected.n_edge[:, 0]) * (1 + spare))
+        slots = -(-needed // EDGE_ROUNDING) * EDGE_ROUNDING
+        return _with_edge_slots(connected, min(slots, connected.senders.shape[1]))
 
     with ThreadPoolExecutor() as pool:  # they compile side by side
         return list(pool.map(stacked, np.unique(bucket_of).tolist()))
+
+
+def stacks_like(
+    graphs: Sequence[SceneGraph], stacks: Sequence[PackedGraph]
+) -> tuple[list[PackedGraph], int]:
+    """Stacks other graphs of the same kind in the same shapes, each in the smallest bucket.
+
+    A bucket has as many as before: if there are more, some of all are left out; if there are fewer,
+    some come twice; if there is none, it stays as it is.
+
+    Args:
+      graphs: host graphs.
+      stacks: of `stack_by_size`, with spare edge slots.
+
+    Returns:
+      A stack for each; and how many graphs fit in none, for their nodes or their edges.
+    """
+    sizes = np.array([slots_of(graph) for graph in graphs])
+    bucket_of = np.searchsorted([stack.nodes.mask.shape[1] for stack in stacks], sizes)
+    made, too_large = list(stacks), int(np.sum(bucket_of == len(stacks)))
+    for bucket in np.unique(bucket_of[bucket_of < len(stacks)]):
+        members, (count, slots) = np.flatnonzero(bucket_of == bucket), stacks[bucket].senders.shape
+        chosen = [graphs[i] for i in members[_spread(count, len(members))]]
+        connected = _connected(chosen, stacks[bucket].nodes.mask.shape[1])
+        fitting = np.flatnonzero(np.asarray(connected.n_edge[:, 0]) <= slots)
+        too_large += count - len(fitting)
+        if not len(fitting):
+            continue
+        if len(fitting) < count:
+            connected = _rows(connected, fitting[_spread(count, len(fitting))])
+        made[bucket] = _with_edge_slots(connected, slots)
+    return made, too_large
+
+
+def _spread(count: int, number: int) -> np.ndarray:
+    """Returns so many indices, evenly spread over a number of things."""
+    return np.arange(count) * number // count
+
+
+def _connected(graphs: Sequence[SceneGraph], nodes: int) -> PackedGraph:
+    """Stacks host graphs of one bucket, with their proximity edges and slots for more than any."""
+    room = nodes * min(nodes, 20)  # more than any union of 10 nearest neighbours has used
+    return _connect(stack(graphs, Capacity(nodes, room)))
+
+
+_connect: Final = jax.jit(jax.vmap(connect_observed))
+_rows: Final = jax.jit(lambda stack, rows: jax.tree.map(lambda leaf: leaf[rows], stack))
 
 
 def slots_of(graph: SceneGraph) -> int:
@@ -150,6 +201,7 @@ def slots_of(graph: SceneGraph) -> int:
     return slots
 
 
+@functools.partial(jax.jit, static_argnames="slots")
 def _with_edge_slots(graphs: PackedGraph, slots: int) -> PackedGraph:
     """Drops the edge slots that no graph of the stack uses."""
     real = graphs.n_edge[:, 0]

@@ -6,6 +6,7 @@ trains.
 """
 
 import contextlib
+import dataclasses
 import json
 import os
 import socket
@@ -94,7 +95,10 @@ def check_same_run(directory: Path, config: Config) -> int | None:
     here = json.loads(to_json(config))
     steps = field(there, "steps", f"{path}")
     with contextlib.suppress(ValueError):  # what is newer than the run has its default
-        there = json.loads(to_json(from_dict(there)))
+        before = from_dict(there)
+        if before.ontology == config.ontology:  # but for how its concepts are drawn
+            before = dataclasses.replace(before, ontology=config.ontology)
+        there = json.loads(to_json(before))
     is_longer = isinstance(steps, int) and steps < config.steps
     changed = _changes(there | ({"steps": config.steps} if is_longer else {}), here)
     if changed:

@@ -40,6 +40,7 @@ from sg3d_jax.train.directory import changes_of_origin, check_same_run, held, or
 from sg3d_jax.train.log import display, say_remark, writers
 from sg3d_jax.train.methods import METHODS, Measured, build_model, measure
 from sg3d_jax.train.processes import from_first, on_all_devices, together
+from sg3d_jax.train.rounds import made_side_by_side, rounds, workers
 from sg3d_jax.train.statistics import shares_of
 from sg3d_jax.train.step import TrainCall, TrainState, init_state, make_train_call, mesh_of
 from sg3d_jax.train.transfer import transferred
@@ -47,6 +48,7 @@ from sg3d_jax.train.weights import load_weights, save_weights
 
 CHECKPOINTS: Final = "checkpoints"  # the folder in the run directory, and
 WEIGHTS: Final = "weights.npz"  # the file there
+SPARE_EDGES: Final = 0.125  # share of the edge slots, for graphs that are drawn anew
 
 
 class Run(NamedTuple):
@@ -85,14 +87,23 @@ def prepare(config: Config, graphs: Sequence[SceneGraph] | None = None) -> Run:
       config: the run.
       graphs: that are trained on, where they are made already; None for those of the configuration.
     """
-    graphs = training_graphs(config.data, config.method) if graphs is None else graphs
+    graphs = _graphs_of(config) if graphs is None else graphs
     _check_concepts(config, graphs)
-    stacks = stack_by_size(graphs, config.capacities)
+    spare = 0.0 if config.fresh_every is None else SPARE_EDGES
+    stacks = stack_by_size(graphs, config.capacities, spare)
     statistics = measure(config.model, config.flagg, stacks)
     validation = load_split(config.data, "validation")[: config.validation_graphs]
     model = build_model(config.model, config.flagg, statistics, config.ontology)
     digests = {"training": digest_of(graphs), "validation": digest_of(validation)}
     return Run(config, model, statistics, stacks, validation, card_of(graphs), digests)
+
+
+def _graphs_of(config: Config) -> list[SceneGraph]:
+    """Makes or reads the training graphs; those that are drawn anew later, on all cores."""
+    if config.fresh_every is None:
+        return training_graphs(config.data, config.method)
+    with workers() as make:
+        return made_side_by_side(make, config.data, config.method)
 
 
 def _check_concepts(config: Config, graphs: Sequence[SceneGraph]) -> None:
@@ -188,12 +199,13 @@ def _take_part(config: Config, directory: Path) -> Finished:
     checkpoints = checkpoint.Checkpoints(directory / CHECKPOINTS)
     step = from_first(0)
     state = checkpoint.restore(checkpoints, template, step) if step else start
-    for called in calls(run, state, directory):
-        if _is_due(config, called.step):
-            with together():
-                pass  # the first process validates
-            with together():
-                checkpoint.write_state(checkpoints, called.state)
+    with contextlib.closing(calls(run, state, directory)) as made:
+        for called in made:
+            if _is_due(config, called.step):
+                with together():
+                    pass  # the first process validates
+                with together():
+                    checkpoint.write_state(checkpoints, called.state)
     best = from_first(checkpoint.Kept(0, 0.0))
     checkpoint.restore(checkpoints, template, best.step)
     return Finished(directory / WEIGHTS, *best)
@@ -304,18 +316,27 @@ def calls(run: Run, state: TrainState, directory: Path) -> Generator[Called]:
     step = int(state.step)
     state = on_all_devices(jax.tree.map(jnp.copy, state), mesh)  # calls take its memory
     train_calls = compile_calls(make_train_call(config, run.model), state, key, stacks)
-    while step < config.steps:
-        first, began = step, time.monotonic()
-        bucket = bucket_of_call(config, shares, first // config.steps_per_call)
-        state, metrics = train_calls[bucket](state, key, stacks[bucket])
-        step, values = int(state.step), {name: float(value) for name, value in metrics.items()}
-        if not np.isfinite(values["loss"] + values["gradient_norm"]):
-            raise FloatingPointError(
-                f"{directory}: the loss is {values['loss']} with gradients of norm "
-                f"{values['gradient_norm']} between steps {first} and {step}; the last good "
-                "checkpoint is untouched, try a lower learning rate"
-            )
-        yield Called(state, step, values, (time.monotonic() - began) / (step - first))
+    with contextlib.closing(rounds(config, run.stacks, step)) as coming:
+        for graphs, until in coming:
+            stacks = on_all_devices(graphs, mesh)
+            while step < until:
+                first, began = step, time.monotonic()
+                bucket = bucket_of_call(config, shares, first // config.steps_per_call)
+                state, metrics = train_calls[bucket](state, key, stacks[bucket])
+                step = int(state.step)
+                values = {name: float(value) for name, value in metrics.items()}
+                _check_finite(values, directory, first, step)
+                yield Called(state, step, values, (time.monotonic() - began) / (step - first))
+
+
+def _check_finite(values: dict[str, float], directory: Path, first: int, step: int) -> None:
+    """Ends a run whose loss or gradients are not finite."""
+    if not np.isfinite(values["loss"] + values["gradient_norm"]):
+        raise FloatingPointError(
+            f"{directory}: the loss is {values['loss']} with gradients of norm "
+            f"{values['gradient_norm']} between steps {first} and {step}; the last good "
+            "checkpoint is untouched, try a lower learning rate"
+        )
 
 
 def _is_due(config: Config, step: int) -> bool:
@@ -327,8 +348,9 @@ def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, direc
     """Trains from a state to the end, recording, validating and saving on the way."""
     config, step = run.config, int(state.step)
     record = writers(directory, step)
-    with display(config.steps, step) as shown:
-        for called in calls(run, state, directory):
+    made = contextlib.closing(calls(run, state, directory))
+    with display(config.steps, step) as shown, made as coming:
+        for called in coming:
             step, seconds = called.step, called.seconds
             for write in record:
                 write("train", step, {**called.metrics, "seconds_per_step": seconds})

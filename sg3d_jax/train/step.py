@@ -72,10 +72,16 @@ def init_state(
     optimiser: optax.GradientTransformation | None = None,
 ) -> TrainState:
     """Draws the initial state from the run's seed; `graph` is any padded graph."""
-    params = jax.jit(model.init)(root_key(config.seed), graph)  # compiled: no forward pass is run
+    params = _params(model, root_key(config.seed), graph)
     moments = (optimiser or make_optimiser(config)).init(params)
     average = jax.tree.map(jnp.copy, params)  # not the same memory: a call takes that of both
     return TrainState(params, average, moments, jnp.zeros((), jnp.int32))
+
+
+@functools.partial(jax.jit, static_argnames="model")  # no forward pass is run
+def _params(model: Model, key: Key[Array, ""], graph: SceneGraph) -> Params:
+    """Draws the parameters of a model; compiled once for all that are equal."""
+    return model.init(key, graph)
 
 
 def batch_of(config: Config, graphs: SceneGraph) -> int:

@@ -36,6 +36,7 @@ OUTPUTS: Final[Mapping[str, tuple[str, ...]]] = {
     r"'label'\]\['(kernel|bias)": (CONCEPTS,),
     r"kinds.*'logits'\]\['(kernel|bias)": (OTHERS,),
 }
+BESIDE: Final = r"\W*kinds\b"  # the module that a model has or lacks by its concepts alone
 
 
 def transferred(params: Params, known: Ontology, fresh: Params, ontology: Ontology) -> Params:
@@ -45,14 +46,19 @@ def transferred(params: Params, known: Ontology, fresh: Params, ontology: Ontolo
       params: of a model of the concepts `known`.
       known: its concepts.
       fresh: initial parameters of a model of the concepts `ontology`, of the same widths and
-        layers. A module that it has beside, such as one that tells kinds, stays fresh.
+        layers. The module that tells kinds stays fresh if the given ones lack it.
       ontology: its concepts.
 
     Raises:
-      ValueError: a layer differs otherwise than by its concepts and kinds.
+      ValueError: a layer differs otherwise than by its concepts and kinds, or only one has it.
     """
-    leaves, _ = jax.tree_util.tree_flatten_with_path(params)
-    given = {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
+    given, wanted = (
+        {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}
+        for tree in (params, fresh)
+    )
+    for name in sorted(given.keys() ^ wanted.keys()):
+        if not re.match(BESIDE, name):
+            raise ValueError(f"{name} is of one model alone, expected the same layers")
 
     def carried(path: Any, leaf: jax.Array) -> jax.Array:
         name = jax.tree_util.keystr(path)

@@ -1,6 +1,7 @@
 """One tiny run, trained once for every test here, and its compiled programs."""
 
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,8 +9,10 @@ import jax
 import pytest
 
 from sg3d_jax import origin
-from sg3d_jax.train import loop
+from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.train import loop, rounds
 from sg3d_jax.train.config import Config
+from sg3d_jax.train.dataset import training_set
 from sg3d_jax.train.loop import Run
 from sg3d_jax.train.step import TrainCall, TrainState, init_state, make_train_call
 from tests.tiny_run import tiny_config
@@ -41,6 +44,20 @@ def programs(trained: Trained, monkeypatch: pytest.MonkeyPatch) -> Trained:
     """Lets `loop.train` use what is already compiled, for whatever number of steps."""
     use(trained, monkeypatch)
     return trained
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Has jobs of workers done here; tells which rounds have been drawn."""
+    seen = []
+
+    def make(jobs: Sequence[rounds.Job]) -> list[list[SceneGraph]]:
+        seen.append(jobs[0][0].seed >> 32)
+        return [training_set(*job) for job in jobs]
+
+    for where in (loop, rounds):
+        monkeypatch.setattr(where, "workers", lambda: contextlib.nullcontext(make))
+    return seen
 
 
 @pytest.fixture(autouse=True)

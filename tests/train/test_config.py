@@ -113,6 +113,8 @@ def test_a_value_of_another_type_is_refused_by_its_field(values, sentence):
         ({"validation_graphs": 0}, "validation_graphs is 0, expected at least 1"),
         ({"steps": 9}, "steps is 9, expected a multiple of steps_per_call, 2"),
         ({"validate_every": 3}, "validate_every is 3, expected a multiple of steps_per_call, 2"),
+        ({"fresh_every": 0}, "fresh_every is 0, expected at least 1"),
+        ({"fresh_every": 3}, "fresh_every is 3, expected a multiple of steps_per_call, 2"),
         ({"steps": 2}, "optimiser.warmup_steps is 2, expected 0 to 1"),
         (
             {"optimiser": OptimiserConfig(warmup_steps=-1)},

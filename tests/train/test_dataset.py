@@ -12,7 +12,7 @@ from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Capacity, pad, unpad
 from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.train.config import DataConfig
-from sg3d_jax.train.dataset import load_split, stack_by_size, training_graphs
+from sg3d_jax.train.dataset import load_split, stack_by_size, stacks_like, training_graphs
 
 CAPACITIES = (20, 32, 136)
 PARTS = ("train", "validation", "test")
@@ -82,6 +82,51 @@ def test_larger_graphs_get_further_buckets_each_twice_as_large(floors):
     large = [graph for graph in floors if len(graph.nodes.label) > 16]
     (stack,) = stack_by_size(large, (4, 8))
     assert stack.nodes.label.shape == (len(large), 32)
+
+
+def test_other_graphs_are_stacked_in_the_same_shapes(floors, stacks):
+    """Of too many some are left out, of too few some come twice, those too large are counted."""
+    spare = stack_by_size(floors, CAPACITIES, spare=0.5)
+    for one, wide in zip(stacks, spare, strict=True):
+        assert wide.senders.shape[1] > 1.3 * one.senders.shape[1]
+        npt.assert_array_equal(wide.n_edge.sum(axis=1), wide.senders.shape[1])
+    again, too_large = stacks_like(floors, stacks)
+    assert too_large == 0
+    for one, other in zip(*map(jax.tree.leaves, (again, stacks)), strict=True):
+        npt.assert_array_equal(one, other)
+    small = [graph for graph in floors if len(graph.nodes.label) <= 20]
+    count, given = len(small), [*small[:4], *small]
+    many, _ = stacks_like(given, spare)
+    assert jax.tree.map(jax.numpy.shape, many) == jax.tree.map(jax.numpy.shape, spare)
+    assert firsts(many[0]) == [first(given[row * (count + 4) // count]) for row in range(count)]
+    npt.assert_array_equal(many[1].nodes.position, spare[1].nodes.position)  # there are no others
+    few, _ = stacks_like(small[:3], spare)
+    assert firsts(few[0]) == [first(small[row * 3 // count]) for row in range(count)]
+
+
+def first(graph):
+    """Returns the position of the first node, which no other graph has."""
+    return tuple(graph.nodes.position[0].astype(np.float32).tolist())
+
+
+def firsts(stack):
+    return [tuple(position) for position in np.asarray(stack.nodes.position[:, 0]).tolist()]
+
+
+def test_graphs_without_room_for_their_edges_are_counted(floors, stacks):
+    narrow = [
+        stack._replace(senders=stack.senders[:, : int(stack.n_edge[:, 0].min())])
+        for stack in stacks
+    ]
+    made, too_large = stacks_like(floors, narrow)
+    slots = [stack.senders.shape[1] for stack in narrow]
+    fit = [(stack.n_edge[:, 0] <= most).sum() for stack, most in zip(stacks, slots, strict=True)]
+    assert too_large == len(floors) - sum(fit) > 0
+    for stack, most in zip(made, slots, strict=True):
+        npt.assert_array_equal(stack.n_edge.sum(axis=1), most)
+        npt.assert_array_equal(stack.edges.mask.sum(axis=1), stack.n_edge[:, 0])
+    _, too_large = stacks_like(floors, stacks[:1])
+    assert too_large == len(stacks[1].n_edge)
 
 
 def test_edge_classifiers_are_refused_more_than_a_floor(tmp_path, monkeypatch):

@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from sg3d_jax import origin
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.train.config import Config, to_dict
 from sg3d_jax.train.directory import changes_of_origin, check_same_run, held, write_run
 
@@ -79,6 +80,14 @@ def test_a_run_goes_on_although_its_configuration_lacks_what_is_newer_and_as_it_
     assert check_same_run(tmp_path, Config()) == Config().steps
     with pytest.raises(ValueError, match=r"accumulate 1 there, 2 here$"):
         check_same_run(tmp_path, dataclasses.replace(Config(), accumulate=2))
+
+
+def test_a_run_goes_on_although_concepts_have_other_colours_now(tmp_path):
+    config = Config(ontology=FURNISHED_ONTOLOGY)
+    write_run(tmp_path, config, HERE, 0)
+    path = tmp_path / "config.json"
+    path.write_text(path.read_text().replace(FURNISHED_ONTOLOGY.concepts[0].colour, "#123456"))
+    assert check_same_run(tmp_path, config) == config.steps
 
 
 @pytest.mark.parametrize(

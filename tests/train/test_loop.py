@@ -114,6 +114,38 @@ def test_a_run_that_was_interrupted_goes_on_bit_for_bit(programs, tmp_path, monk
     assert without_times(log_of(tmp_path)) == without_times(log_of(programs.directory))
 
 
+def drawn_anew(config):
+    """Returns the tiny run on views, drawn anew twice before its first checkpoint."""
+    data = dataclasses.replace(config.data, name=f"{config.data.name}@robot")
+    return dataclasses.replace(config, data=data, fresh_every=4)
+
+
+def test_a_run_whose_data_are_drawn_anew_goes_on_bit_for_bit_and_compiles_nothing(
+    programs, drawn, tmp_path, monkeypatch
+):
+    config, compiled = drawn_anew(programs.run.config), programs.train_call._cache_size()
+    scripted([0.2, 0.1, 0.2, 0.1], monkeypatch)
+    at_once = train(config, tmp_path / "at once").weights
+    assert drawn == [1, 2, 3, 4, 5]
+    with monkeypatch.context() as patch:
+        stop_at(20, patch, KeyboardInterrupt)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, tmp_path / "run")
+    drawn.clear()
+    assert_same_weights(train(config, tmp_path / "run").weights, at_once)
+    assert drawn == [3, 4, 5]
+    logs = [without_times(log_of(tmp_path / name, "train")) for name in ("run", "at once")]
+    assert logs[0] == logs[1]
+    as_ever = without_times(log_of(programs.directory, "train"))
+    assert [one == other for one, other in zip(logs[0], as_ever, strict=True)] == [True] + 5 * [
+        False
+    ]
+    assert programs.train_call._cache_size() == compiled
+    drawn.clear()
+    train(config, tmp_path / "run")  # it is done
+    assert drawn == []
+
+
 def test_a_run_whose_latest_checkpoint_is_damaged_goes_on_from_the_one_before(
     programs, tmp_path, capsys
 ):

@@ -117,3 +117,13 @@ def test_a_layer_of_another_width_is_refused():
     params, fresh = (random_params(Halt(width, 1).init, graph) for width in (4, 6))
     with pytest.raises(ValueError, match=r"'\] is \[.*4\], expected \[.*6\]$"):
         transferred(params, FURNISHED_ONTOLOGY, fresh, FURNISHED_ONTOLOGY)
+
+
+def test_a_module_that_only_one_has_is_refused():
+    params = random_params(Halt(4, 1).init, graph_of(FURNISHED_ONTOLOGY))
+    one, both = {"halt": params}, {"halt": params, "insert": params}
+    for given, fresh in ((one, both), (both, one)):
+        with pytest.raises(
+            ValueError, match=r"^\['insert'\].* is of one model alone, expected the"
+        ):
+            transferred(given, FURNISHED_ONTOLOGY, fresh, FURNISHED_ONTOLOGY)

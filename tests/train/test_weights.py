@@ -8,6 +8,7 @@ import numpy as np
 import numpy.testing as npt
 import pytest
 
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.flagg.step import Params
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.train import weights
@@ -258,6 +259,8 @@ def test_the_weights_of_the_package_load_and_are_finite(name):
     leaves = jax.tree.leaves((loaded.params, loaded.statistics))
     assert all(np.isfinite(leaf).all() for leaf in leaves)
     assert f"{loaded.config.method}-{loaded.config.data.label}" == name
+    known = {ontology: ontology.to_dict() for ontology in (PAPER_ONTOLOGY, FURNISHED_ONTOLOGY)}
+    assert loaded.config.ontology.to_dict() == known[loaded.config.ontology]  # colours, too
 
 
 @pytest.mark.parametrize(("name", "expected"), sorted(PARAMETERS.items()))
