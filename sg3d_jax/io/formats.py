@@ -17,6 +17,7 @@ with them. So do ids, further keys of nodes, and how sure nodes and edges are (`
 for npz and pickles; messages have ids alone.
 """
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -251,6 +252,11 @@ def write_into(
     (where, document), *more = read_documents(theirs)
     if more:
         raise ValueError(f"{theirs}: holds {1 + len(more)} documents, expected one")
+    try:
+        json.dumps(document, allow_nan=False)
+    except ValueError as error:
+        problem = "holds NaN or infinity, which JSON does not know"
+        raise ValueError(f"{where}: {problem}, expected finite numbers") from error
     made, remarks = put_into(document, graph_to_spark_dsg(graph, **said), where)
     write_document(path, made)
     return remarks

@@ -26,6 +26,7 @@ from sg3d_jax.io.records import (
     feature,
     features_by_row,
     graph_of,
+    observed_lists,
     ontology_in,
     stated,
 )
@@ -152,11 +153,7 @@ def read_planes_dict(document: Any, where: str, ontology: Ontology = PAPER_ONTOL
     about = document if isinstance(document, dict) else {}
     is_stated = "ontology" in about
     ontology = ontology_in(about, where, ontology)
-    lists = {
-        concept.layer.lower(): (label, concept)
-        for label, concept in enumerate(ontology.concepts)
-        if concept.observed
-    }
+    lists = observed_lists(ontology)
     expected = ("ontology", *lists) if is_stated else (*lists,)
     optional = {THINGS} - {*lists} if is_stated else {THINGS, *expected[1:]}
     _check_keys(document, expected, f"{where}: the scene", exactly=True, optional=optional)
@@ -171,7 +168,10 @@ def read_planes_dict(document: Any, where: str, ontology: Ontology = PAPER_ONTOL
     for key, (label, concept) in lists.items():
         known = ("centroid", *concept.features)
         found += [
-            (_record(item, label, concept, f"{where}: {key}[{index}]"), further(item, known))
+            (
+                observed_record(item, label, concept, f"{where}: {key}[{index}]"),
+                further(item, known),
+            )
             for index, item in enumerate(document.get(key, []))
         ]
     found.sort(key=lambda one: one[0].label)  # stable, and a thing may be of any concept
@@ -184,7 +184,7 @@ def planes_to_dict(graph: SceneGraph) -> dict[str, Any]:
     """Returns the planes of a host graph as `{"planes": [...]}`, and what else is observed."""
     observed = observed_of(graph)
     concepts = ontology_of(graph).concepts
-    lists: dict[str, list[Any]] = {c.layer.lower(): [] for c in concepts if c.observed}
+    lists: dict[str, list[Any]] = {key: [] for key in observed_lists(ontology_of(graph))}
     columns = observed.nodes.label.tolist(), observed.nodes.position.tolist()
     for label, centroid, owned in zip(*columns, features_by_row(observed), strict=True):
         lists[concepts[label].layer.lower()].append({"centroid": centroid, **owned})
@@ -196,7 +196,18 @@ def write_planes(path: str | Path, graph: SceneGraph) -> None:
     write_document(path, planes_to_dict(graph))
 
 
-def _record(item: Any, label: int, concept: Concept, where: str) -> Record:
+def observed_record(item: Any, label: int, concept: Concept, where: str) -> Record:
+    """Returns the record of an object of a parsed document that is observed; more keys may be.
+
+    Args:
+      item: not yet trusted.
+      label: of the concept.
+      concept: of the node.
+      where: what an error starts with, such as "planes.json: planes[3]".
+
+    Raises:
+      ValueError: it lacks a field, has a feature that the concept has not, or one that is no such.
+    """
     names = [name for name in FEATURES if name in concept.features]
     _check_keys(item, ("centroid", *names), where)
     centroid = vector(item["centroid"], f"{where}.centroid")

@@ -44,6 +44,15 @@ def features_by_row(graph: SceneGraph) -> list[dict[str, Any]]:
     return [{name: columns[name][row] for name in owned[of]} for row, of in enumerate(label)]
 
 
+def observed_lists(ontology: Ontology) -> dict[str, tuple[int, Concept]]:
+    """Returns the keys of documents that list what is observed, with its labels and concepts."""
+    return {
+        concept.layer.lower(): (label, concept)
+        for label, concept in enumerate(ontology.concepts)
+        if concept.observed
+    }
+
+
 def kind_name(concept: Concept, kind: float) -> str | None:
     """Returns the name of a kind of a concept, None if it is unknown."""
     return concept.kinds[int(kind) - 1] if kind else None

@@ -185,7 +185,9 @@ def put_into(theirs: Any, ours: dict[str, Any], where: str) -> tuple[dict[str, A
     key_of_id = {}
     for index, node in enumerate(theirs["nodes"]):
         here = f"{where}: nodes[{index}]"
-        key_of_id[integer(node, "id", here)] = key_of(node, here)
+        if (symbol := integer(node, "id", here)) in key_of_id:
+            raise ValueError(f"{here}.id is {symbol}, expected one that no node before it has")
+        key_of_id[symbol] = known_key(node, layers, names, here)
     foreign = {name for name, key in key_of_id.items() if layers.get(key) not in names}
     replaced = key_of_id.keys() - foreign
     renamed = _renamed(ours["nodes"], key_of_id.keys(), replaced, where)

@@ -20,13 +20,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from sg3d_jax.io.attributes import CONFIDENCE, ID, check_id, further, is_id
-from sg3d_jax.io.files import field, parsed, vector
+from sg3d_jax.io.files import field, parsed
 from sg3d_jax.io.json import graph_to_dict
-from sg3d_jax.io.records import Record, feature, features_by_row, graph_of
+from sg3d_jax.io.planes import observed_record
+from sg3d_jax.io.records import Record, features_by_row, graph_of, observed_lists
 from sg3d_jax.io.s_graphs import AXES, read_message
 from sg3d_jax.scene.changes import Changes, Event, GraphChanges, GrownNode
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, subgraph
-from sg3d_jax.scene.ontology import Concept, Ontology
+from sg3d_jax.scene.ontology import Ontology
 from sg3d_jax.scene.validate import LEAST_OBSERVED, validate_graph
 
 STANDARD_INPUT: Final = "-"
@@ -99,7 +100,7 @@ def read_changes(
     """
     if isinstance(document, dict) and document.keys() & {*AXES}:
         return _read_message(document, ontology, heard, where)
-    lists = _lists(ontology)
+    lists = observed_lists(ontology)
     expected = (*lists, *BESIDE, THINK)
     if not isinstance(document, dict):
         raise ValueError(f"{where} is {document!r:.40}, expected an object of changes")
@@ -112,7 +113,7 @@ def read_changes(
             here = f"{where}: {key}[{index}]"
             check_id(field(item, ID, here), row_of_id, here)
             row_of_id[item[ID]] = len(records)
-            records.append(_record(item, label, concept, here))
+            records.append(observed_record(item, label, concept, here))
     observed = graph_of(records, ontology) if records else None
     if observed is not None:
         validate_graph(observed, where, rules=False)
@@ -229,24 +230,6 @@ def _read_message(
         removed=tuple(name for name in heard.names if name not in there),
     )
     return changes, Heard(names, table)
-
-
-def _lists(ontology: Ontology) -> dict[str, tuple[int, Concept]]:
-    """Returns the keys of what is observed, with its labels and concepts."""
-    return {
-        concept.layer.lower(): (label, concept)
-        for label, concept in enumerate(ontology.concepts)
-        if concept.observed
-    }
-
-
-def _record(item: Any, label: int, concept: Concept, where: str) -> Record:
-    centroid = vector(field(item, "centroid", where), f"{where}.centroid")
-    features = {
-        name: feature(name, field(item, name, where), f"{where}.{name}", concept)
-        for name in concept.features
-    }
-    return Record(label, centroid, features)
 
 
 def _list(document: Mapping[str, Any], key: str, where: str) -> list[Any]:

@@ -5,12 +5,15 @@ import pytest
 from tests.fuzz.files import kinds
 from tests.fuzz.fuzzing import try_files
 
-COUNT = 12  # of each kind
+COUNT = 6  # of each kind
 NAMES = (
     *("json.json", "json.jsonl", "networkx.json", "networkx.jsonl", "spark-dsg.json"),
-    *("spark-dsg.jsonl", "a.graphml", "planes.json", "message.json", "planes.csv", "graphs.npz"),
-    *("theirs.pkl", "theirs.zip", "msd.csv", "plans.jsonl", "plans.jsonl.gz", "result.json"),
-    "weights.npz",
+    *("spark-dsg.jsonl", "a.graphml", "planes.json", "planes.csv", "columns.csv", "objects.json"),
+    *("adjacency.json", "cytoscape.json", "multigraph.json", "d3.json", "places.json", "a.gexf"),
+    *("message.json", "map.json", "printed.yaml", "old-map", "new-map", "hydra.json"),
+    *("old-hydra.json", "into.json", "told.jsonl", "messages.jsonl", "graphs.npz", "theirs.pkl"),
+    *("theirs.zip", "msd.csv", "plans.jsonl", "plans.jsonl.gz", "own.jsonl", "own-mm.jsonl"),
+    *("result.json", "weights.npz"),
 )
 
 

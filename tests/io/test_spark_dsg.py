@@ -425,6 +425,24 @@ def test_edges_of_what_is_replaced_go_with_it_and_are_counted(tmp_path):
     assert remark.endswith("replaced 2 of its nodes by ours, and left out 2 of their edges")
 
 
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"layer": 0}, r"nodes\[1\] lies in layer 0, partition 0, expected one of PLANES"),
+        ({"attributes": {"weight": float("nan")}}, "holds NaN or infinity"),
+        ({"id": ord("R") << 56}, r"nodes\[1\]\.id is \d+, expected one that no node before it has"),
+    ],
+)
+def test_a_node_that_could_not_be_read_again_is_not_added_to(change, sentence, tmp_path):
+    theirs = saved_by_hydra()
+    theirs["nodes"][0]["id"] = ord("R") << 56
+    theirs["nodes"][1] |= change
+    (tmp_path / "dsg.json").write_text(json.dumps(theirs))
+    with pytest.raises(ValueError, match=rf"dsg\.json: {sentence}"):
+        write_into(tmp_path / "a.json", city(), tmp_path / "dsg.json")
+    assert not (tmp_path / "a.json").exists()
+
+
 def test_a_layer_of_theirs_where_ours_must_be_is_named(tmp_path):
     theirs = saved_by_hydra()
     theirs["layer_keys"].append({"layer": 6, "partition": 0})

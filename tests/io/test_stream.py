@@ -86,7 +86,10 @@ def test_other_ontologies_have_their_own_lists():
         ({"plane": []}, r" has 'plane', expected any of planes, removed, merged, confirmed, forb"),
         ({"planes": {}}, r": planes is {}, expected a list"),
         ({"planes": [3]}, r": planes\[0\] is 3, expected an object with 'id'"),
-        ({"planes": [{"id": 1}]}, r": planes\[0\] lacks 'centroid', expected an object with it"),
+        (
+            {"planes": [{"id": 1}]},
+            r": planes\[0\] lacks 'centroid', expected centroid, normal, width",
+        ),
         ({"planes": [PLANE | {"id": None}]}, r": planes\[0\]\.id is None, expected an integer or"),
         ({"planes": [PLANE, PLANE]}, r": planes\[1\]\.id is 'a' again, expected unique ids"),
         ({"planes": [PLANE | {"normal": [1, 0]}]}, r": planes\[0\]\.normal is \[1, 0\], exp"),
