@@ -21,7 +21,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 #   scene <- diffusion, nn <- fill <- flagg, baselines <- infer <- train <- cli
 #   scene <- io <- data <- train
 #   scene <- metrics <- infer
-#   io <- viz <- cli
+#   io, metrics <- viz <- cli
 GROWING: Final = {"scene", "diffusion", "nn", "fill", "flagg"}
 TRAINING: Final = {*GROWING, "baselines", "metrics", "infer", "io", "data", "train"}
 MAY_IMPORT: Final[Mapping[str, set[str]]] = {
@@ -36,7 +36,7 @@ MAY_IMPORT: Final[Mapping[str, set[str]]] = {
     "io": {"scene"},
     "data": {"scene", "io"},
     "train": {*TRAINING - {"train"}, "origin", "distributed"},
-    "viz": {"scene", "io"},
+    "viz": {"scene", "io", "metrics"},
     "runtime": set(),
     "origin": set(),
     "distributed": set(),

@@ -49,26 +49,26 @@ UNIT_KINDS: Final = ("flat", "department", "common")
 FURNISHED_ONTOLOGY: Final = Ontology(
     concepts=(
         Concept("plane", "#1d4ed8", "p", "PLANES", observed=True, features=("normal", "width")),
-        Concept("door", "#92400e", "d", "DOORS", observed=True, features=("width",)),
-        Concept("stairs", "#7c3aed", "s", "STAIRS", observed=True, features=("width",)),
+        Concept("door", "#651c03", "d", "DOORS", observed=True, features=("width",)),
+        Concept("stairs", "#510d6a", "s", "STAIRS", observed=True, features=("width",)),
         Concept(
             "object",
-            "#db2777",
+            "#ff0daf",
             "O",
             "OBJECTS",
             observed=True,
             features=("width", "kind"),
             kinds=OBJECT_KINDS,
         ),
-        Concept("wall", "#f59e0b", "w", "WALLS", least_parts=2),
+        Concept("wall", "#fbbf24", "w", "WALLS", least_parts=2),
         Concept(
-            "room", "#dc2626", "R", "ROOMS", features=("kind",), kinds=ROOM_KINDS, hears_kin=True
+            "room", "#e6160b", "R", "ROOMS", features=("kind",), kinds=ROOM_KINDS, hears_kin=True
         ),
         Concept(
-            "unit", "#64748b", "U", "UNITS", features=("kind",), kinds=UNIT_KINDS, hears_kin=True
+            "unit", "#4f5058", "U", "UNITS", features=("kind",), kinds=UNIT_KINDS, hears_kin=True
         ),
-        Concept("floor", "#16a34a", "F", "FLOORS", hears_kin=True),
-        Concept("building", "#06b6d4", "B", "BUILDINGS", above=True, hears_kin=True),
+        Concept("floor", "#1a9961", "F", "FLOORS", hears_kin=True),
+        Concept("building", "#00d8fd", "B", "BUILDINGS", above=True, hears_kin=True),
         Concept("city", "#111111", "C", "CITIES", above=True, hears_kin=True),
     ),
     rules=(

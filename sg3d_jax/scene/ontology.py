@@ -33,7 +33,8 @@ class Concept:
 
     Attributes:
       name: lower case, singular.
-      colour: of its dots, "#rrggbb".
+      colour: of its dots, "#rrggbb": how it is drawn, and not what it is, so that what differs in
+        colours alone is equal.
       letter: of its node symbols in Spark-DSG, one ASCII letter.
       layer: its layer in Spark-DSG, upper case, plural.
       observed: whether its nodes are given, and never generated.
@@ -47,7 +48,7 @@ class Concept:
     """
 
     name: str
-    colour: str
+    colour: str = dataclasses.field(compare=False)
     letter: str
     layer: str
     observed: bool = False
@@ -273,15 +274,15 @@ def _is_hex(text: str) -> bool:
     return all(digit in "0123456789abcdefABCDEF" for digit in text)
 
 
-# The paper's concepts, in its colours. Walls have no whole: the one exception to its strict
-# hierarchy. A plane may bound several walls, but one room.
+# The paper's concepts, in colours that the colour-blind can tell apart. Walls have no whole: the
+# one exception to its strict hierarchy. A plane may bound several walls, but one room.
 PAPER_ONTOLOGY: Final = Ontology(
     concepts=(
         Concept("plane", "#1d4ed8", "p", "PLANES", observed=True, features=("normal", "width")),
-        Concept("wall", "#f59e0b", "w", "WALLS", least_parts=2),
-        Concept("room", "#dc2626", "R", "ROOMS", hears_kin=True),
-        Concept("floor", "#16a34a", "F", "FLOORS", hears_kin=True),
-        Concept("building", "#06b6d4", "B", "BUILDINGS", above=True, hears_kin=True),
+        Concept("wall", "#fbbf24", "w", "WALLS", least_parts=2),
+        Concept("room", "#e6160b", "R", "ROOMS", hears_kin=True),
+        Concept("floor", "#1a9961", "F", "FLOORS", hears_kin=True),
+        Concept("building", "#00d8fd", "B", "BUILDINGS", above=True, hears_kin=True),
         Concept("city", "#111111", "C", "CITIES", above=True, hears_kin=True),
     ),
     rules=(

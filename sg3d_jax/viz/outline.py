@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
+from sg3d_jax.viz.compare import is_missing, is_odd, matched
 from sg3d_jax.viz.style import are_segments, floor_of, plane_segments
 
 PALETTE: Final = (
@@ -140,21 +141,13 @@ def differences(graph: SceneGraph, plan: Plan, truth: SceneGraph) -> tuple[set[i
 
     The segments of an area of the truth are told by those of the graph that are in their place.
     """
-    rows = {_place(graph, row): row for row in plan.segment_rows.tolist()}
-    true = []
-    for corners, held in plan_of(truth).areas.values():
-        found = [rows.get(_place(truth, row)) for row in held.tolist()]
-        true.append(Area(corners, np.array([row for row in found if row is not None], int)))
-    ours, theirs = (
-        [frozenset(area.held.tolist()) for area in areas] for areas in (plan.areas.values(), true)
-    )
-    odd = {row for row, held in zip(plan.areas, ours, strict=True) if held not in theirs}
-    return odd, [area for area, held in zip(true, theirs, strict=True) if held not in ours]
-
-
-def _place(graph: SceneGraph, row: int) -> tuple[float, ...]:
-    """Returns where a node is, in whole millimetres."""
-    return tuple(np.round(graph.nodes.position[row] * 1000).tolist())
+    match = matched(graph, truth)
+    odd = {row for row in plan.areas if is_odd(graph, match)[row]}
+    return odd, [
+        Area(area.corners, match[area.held][match[area.held] >= 0])
+        for row, area in plan_of(truth).areas.items()
+        if is_missing(truth, match)[row]
+    ]
 
 
 def area_colours(areas: Sequence[np.ndarray]) -> list[str]:

@@ -30,6 +30,7 @@ from sg3d_jax.scene.graph import (
     undirected_edges,
 )
 from sg3d_jax.scene.ontology import FEATURES, PART_OF, PROXIMITY
+from sg3d_jax.viz.compare import is_missing, mark_traces, matched
 from sg3d_jax.viz.plan_page import plan_of_page
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,
@@ -109,8 +110,8 @@ def save_page(
       reload: seconds after which the page loads itself again, if it is written again and again: it
         then keeps the view; 0 for the last such page. None for a page that stays.
       node_names: of each graph what its nodes are called, such as their ids; their rows by default.
-      truth: of each graph that of the same segments which is true: its plan is shown below, and in
-        the plan above it what differs is marked.
+      truth: of each graph that of the same segments which is true: its plan is shown below, and
+        what differs is marked in space and in the plan above it.
 
     Raises:
       ValueError: there is nothing to show, names or truths are too few or too many, the graphs have
@@ -138,16 +139,17 @@ def save_page(
     )
     of_nodes = nothing if node_confidence is None else node_confidence
     of_edges = nothing if edge_confidence is None else edge_confidence
+    marks = [_marks(*pair) for pair in zip(graphs, truths, strict=True)]
     shown = [
         {
             "counts": _counts(graph),
-            "text": hover_text(graph, *sure, called),
-            "data": graph_traces(graph, used, *sure),
-            "layout": _layout(graph),
+            "text": hover_text(graph, *sure, called) + texts,
+            "data": graph_traces(graph, used, *sure) + traces,
+            "layout": _layout(graph, traces),
             "plans": _plans(graph, called, sure[0], true),
         }
-        for graph, called, true, *sure in zip(
-            graphs, node_names, truths, of_nodes, of_edges, strict=True
+        for graph, called, true, (texts, traces), *sure in zip(
+            graphs, node_names, truths, marks, of_nodes, of_edges, strict=True
         )
     ]
     again = {} if reload is None else {"reload": reload}
@@ -162,6 +164,15 @@ def save_page(
     with replacing(path) as temporary:
         text = "".join(parts[piece] if i % 2 else piece for i, piece in enumerate(pieces))
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _marks(graph: SceneGraph, truth: SceneGraph | None) -> tuple[list[str], list[dict[str, Any]]]:
+    """Returns what marks in space what a truth has otherwise: texts of its nodes, and traces."""
+    if truth is None:
+        return [], []
+    match, texts = matched(graph, truth), hover_text(truth)
+    traces = mark_traces(graph, truth, match, DOT_SCALE * crowding(graph))
+    return [texts[row] for row in np.flatnonzero(is_missing(truth, match))], traces
 
 
 def _plans(
@@ -428,10 +439,10 @@ def _coordinates(points: np.ndarray) -> dict[str, list[float | None]]:
     }
 
 
-def _layout(graph: SceneGraph) -> dict[str, Any]:
-    """Returns the plotly layout of a page that shows a host graph."""
+def _layout(graph: SceneGraph, marks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Returns the plotly layout of a page that shows a host graph, and traces of marks."""
     return {
-        "scene": _scene(graph),
+        "scene": _scene(graph, marks),
         "font": {"family": "system-ui, sans-serif"},
         "hoverlabel": {"align": "left", "bgcolor": "#ffffff", "font": {"size": 13}},
         "legend": {"font": {"size": 15}, "itemsizing": "constant", "x": 0.01, "y": 0.99},
@@ -441,10 +452,12 @@ def _layout(graph: SceneGraph) -> dict[str, Any]:
     }
 
 
-def _scene(graph: SceneGraph) -> dict[str, Any]:
+def _scene(graph: SceneGraph, marks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Returns the view: fixed ranges, so that nothing moves when a layer is hidden."""
     azimuth = view_of(graph)
-    points = np.concatenate([lifted(graph), plane_segments(graph).reshape(-1, 3)])
+    marked = [np.array([mark[axis] for axis in "xyz"], float).T.reshape(-1, 3) for mark in marks]
+    points = np.concatenate([lifted(graph), plane_segments(graph).reshape(-1, 3), *marked])
+    points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
     seen = project(points - (low + high)[None] / 2, azimuth)
     width, height = np.ptp(seen, axis=0) + 2 * MARGIN

@@ -106,8 +106,9 @@ def _lines(
 ) -> list[dict[str, Any]]:
     """Returns a trace for each shade of lines; each has a point in its middle, to be hovered."""
     shades: defaultdict[str, list[int]] = defaultdict(list)
+    styles = styles_of(ontology_of(graph))
     for place, row in enumerate(rows.tolist()):
-        colour = styles_of(ontology_of(graph))[graph.nodes.label[row]].colour
+        colour = styles[graph.nodes.label[row]].colour
         shades[faded(colour, sure[[row]])[0]].append(place)
     return [
         _trace(

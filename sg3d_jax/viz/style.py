@@ -73,7 +73,6 @@ def check_confidence(
             raise ValueError(f"{name} has shape {[*np.shape(given)]}, expected [{count}]")
 
 
-@functools.lru_cache
 def styles_of(ontology: Ontology) -> tuple[Style, ...]:
     """Returns how each concept is drawn; what is not observed is higher and larger, one by one."""
     places = np.cumsum(~ontology.is_observed) - 1

@@ -80,6 +80,7 @@ def test_features_and_kinds_are_those_that_some_concept_has():
 def test_an_ontology_survives_json(ontology):
     again = ontology_from_dict(json.loads(json.dumps(ontology.to_dict())))
     assert again == ontology
+    assert again.to_dict() == ontology.to_dict()  # also the colours
     assert hash(again) == hash(ontology)
 
 
@@ -88,7 +89,7 @@ def test_no_ontology_means_the_papers_and_it_is_one_object():
     assert ontology_from_dict(PAPER_ONTOLOGY.to_dict()) is PAPER_ONTOLOGY
 
 
-def test_ontologies_differ_by_any_field_and_compile_apart():
+def test_ontologies_differ_by_any_field_but_colours_and_compile_apart():
     traced = []
 
     @jax.jit
@@ -97,7 +98,8 @@ def test_ontologies_differ_by_any_field_and_compile_apart():
         return ontology.num_concepts
 
     others = [replaced(WALL, hears_kin=True), replaced(ROOM, least_parts=2), own_world.ONTOLOGY]
-    for ontology in (PAPER_ONTOLOGY, *others, ontology_from_dict(PAPER_ONTOLOGY.to_dict())):
+    same = ontology_from_dict(PAPER_ONTOLOGY.to_dict()), replaced(WALL, colour="#123456")
+    for ontology in (PAPER_ONTOLOGY, *others, *same):
         assert count(ontology) == 6
         assert not jax.tree.leaves(ontology)
     assert traced == [PAPER_ONTOLOGY, *others]

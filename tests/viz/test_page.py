@@ -12,11 +12,11 @@ import numpy.testing as npt
 import plotly.graph_objects as go
 import pytest
 
-from sg3d_jax.scene.graph import make_graph
+from sg3d_jax.scene.graph import make_graph, subgraph
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM
 from sg3d_jax.viz.page import graph_traces, hover_text, save_page
 from sg3d_jax.viz.style import EDGE_COLOUR, faded, lifted, styles_of
-from tests.viz.small_city import FLOORS, one_room, small_city
+from tests.viz.small_city import FLOORS, TOP, one_room, small_city
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 PATIENCE = 40  # seconds until a browser is given up
@@ -238,6 +238,21 @@ def test_below_a_plan_is_that_of_the_truth_whose_nodes_have_their_own_text(tmp_p
     assert [plan["title"] for plan in first["plans"]][1:] == ["truth"]
     assert first["plans"][1]["text"] == hover_text(room)
     assert second["plans"] == []
+
+
+def test_what_the_truth_alone_has_is_marked_in_view_and_has_its_text(tmp_path):
+    truth = small_city()
+    made = subgraph(truth, np.arange(TOP))
+    save_page([made, truth], tmp_path / "a.html", truth=[truth, truth])
+    first, second = embedded(tmp_path / "a.html")["graphs"]
+    circles, same = (
+        next(trace for trace in graph["data"] if trace["uid"] == "missing")
+        for graph in (first, second)
+    )
+    assert [first["text"][row] for row in circles["customdata"]] == [hover_text(truth)[TOP]]
+    assert first["layout"]["scene"]["zaxis"]["range"][1] > circles["z"][0]
+    assert same["customdata"] == []
+    assert second["text"] == hover_text(truth)
 
 
 def test_hover_text_gives_true_heights_and_cuts_long_lists():

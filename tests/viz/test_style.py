@@ -1,7 +1,10 @@
+import dataclasses
+
 import numpy as np
 import numpy.testing as npt
 import pytest
 
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.scene.graph import features_of, make_graph
 from sg3d_jax.scene.ontology import BUILDING, PAPER_ONTOLOGY, PLANE
 from sg3d_jax.scene.validate import validate_graph
@@ -17,6 +20,7 @@ from sg3d_jax.viz.style import (
     styles_of,
     view_of,
 )
+from tests.colour_vision import EYES, least_apart
 from tests.viz.small_city import BUILDINGS, FLOORS, SIDE, TOP, one_room, small_city
 
 
@@ -130,6 +134,22 @@ def test_only_the_dots_of_large_graphs_shrink():
     label = np.full(1000, PLANE)
     vectors = np.tile([1.0, 0.0, 0.0], (1000, 1))
     assert 0.2 < crowding(make_graph(label, vectors, vectors, np.ones(1000), [])) < 0.5
+
+
+@pytest.mark.parametrize("eye", EYES)
+@pytest.mark.parametrize("ontology", [PAPER_ONTOLOGY, FURNISHED_ONTOLOGY])
+def test_the_colour_blind_can_tell_concepts_apart_from_one_another_and_the_ground(ontology, eye):
+    colours = [style.colour for style in styles_of(ontology)]
+    assert least_apart([*colours, "#ffffff"], eye) > 25
+
+
+def test_concepts_are_drawn_in_colours_of_their_own_though_others_are_equal():
+    low, *others = PAPER_ONTOLOGY.concepts
+    concepts = dataclasses.replace(low, colour="#123456"), *others
+    repainted = dataclasses.replace(PAPER_ONTOLOGY, concepts=concepts)
+    assert repainted == PAPER_ONTOLOGY
+    assert styles_of(PAPER_ONTOLOGY)[0].colour == low.colour
+    assert styles_of(repainted)[0].colour == "#123456"
 
 
 def test_colours_fade_to_white_as_confidence_falls():
