@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         stack,
         unpad,
     )
+    from sg3d_jax.scene.restrict import restricted
     from sg3d_jax.scene.validate import validate_graph
     from sg3d_jax.train.methods import register_fill
     from sg3d_jax.train.weights import load_weights
@@ -96,6 +97,7 @@ __all__ = [
     "read_planes",
     "read_with_attributes",
     "register_fill",
+    "restricted",
     "save_page",
     "save_picture",
     "score",
@@ -145,6 +147,7 @@ _NAMES = {
         "stack",
         "unpad",
     ),
+    "scene.restrict": ("restricted",),
     "scene.validate": ("validate_graph",),
     "train.methods": ("register_fill",),
     "train.weights": ("load_weights",),

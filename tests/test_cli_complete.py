@@ -78,6 +78,33 @@ def test_without_it_planes_alone_are_taken(weights):
         assert {document["nodes"][row]["label"] for row in rows} == {concept}
 
 
+def test_some_concepts_alone_are_as_they_are_in_the_whole(weights, capsys):
+    write_graphs("known.json", [with_rooms()])
+    options = "--keep", "--candidates", 2, "--lanes", 1
+    whole = complete("known.json", weights, *options)
+    chosen = "--until", "building", "--without", "wall", "floor"
+    part = complete("known.json", weights, *options, *chosen)
+    lists = ("nodes", "edges", "edge_confidence", "observed", "kept", "grown")
+    assert {name: part[name] for name in part.keys() - {*lists}} == {
+        name: whole[name] for name in whole.keys() - {*lists}
+    }
+    left = {"plane", "room", "building"}
+    assert {*part["observed"], *part["kept"], *part["grown"]} == left
+    nodes = [node for node in whole["nodes"] if node["label"] in left]
+    assert [node | {"id": 0} for node in part["nodes"]] == [node | {"id": 0} for node in nodes]
+    assert any(node["confidence"] < 1 for node in nodes)
+    place = {node["id"]: row for row, node in enumerate(nodes)}
+    edges = [
+        ([place[end] for end in edge], sure)
+        for edge, sure in zip(whole["edges"], whole["edge_confidence"], strict=True)
+        if place.keys() >= {*edge}
+    ]
+    assert [*zip(part["edges"], part["edge_confidence"], strict=True)] == edges
+    capsys.readouterr()
+    line = refusal(capsys, "complete", "known.json", "-o", "a.json", "--until", "roof")
+    assert line.startswith("unknown concept 'roof', expected one of plane, wall, room")
+
+
 def test_a_method_that_does_not_grow_cannot_keep(tmp_path, capsys):
     write_graphs("known.json", [with_rooms()])
     path = untrained_weights(tmp_path, "ec-l")

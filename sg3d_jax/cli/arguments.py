@@ -5,7 +5,7 @@ import os
 import runpy
 import sys
 import tempfile
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -52,9 +52,14 @@ def read_with_attributes(
         say_remarks([f"{source}: {remark}" for each in reads for remark in each.remarks])
     if index is None:
         return reads
-    if index >= len(reads):
-        raise ValueError(f"{source}: --index must be in 0..{len(reads) - 1}, got {index}")
-    return [reads[index]]
+    return [one_of(source, reads, index)]
+
+
+def one_of(source: str, held: Sequence[Any], index: int) -> Any:
+    """Returns one of what a data set or a file holds; refuses a place where there is none."""
+    if not 0 <= index < len(held):
+        raise ValueError(f"{source}: --index must be in 0..{len(held) - 1}, got {index}")
+    return held[index]
 
 
 def columns_in(option: str | None) -> dict[str, str] | None:

@@ -15,9 +15,11 @@ from sg3d_jax.cli.arguments import (
     check_at_least,
     check_output,
     counted,
+    one_of,
     print_table,
     read,
 )
+from sg3d_jax.cli.progress import shown_data
 from sg3d_jax.io.files import replacing
 
 app: Final = tyro.extras.SubcommandApp()
@@ -25,7 +27,11 @@ app: Final = tyro.extras.SubcommandApp()
 
 @app.command
 def make(
-    name: Positional[str], output: Output, num_graphs: int | None = None, seed: int = 0
+    name: Positional[str],
+    output: Output,
+    num_graphs: int | None = None,
+    seed: int = 0,
+    quiet: bool = False,
 ) -> None:
     """Generate a data set, or what a robot sees of one.
 
@@ -34,6 +40,7 @@ def make(
       output: the npz file to write.
       num_graphs: how many; as many as the paper has by default.
       seed: another seed gives other graphs.
+      quiet: show no progress on a terminal.
     """
     from sg3d_jax.data import registry
     from sg3d_jax.io import npz
@@ -43,7 +50,8 @@ def make(
     check_output(output, (".npz",))
     if not registry.is_name(name):
         raise ValueError(f"{name} is a file, expected the name of a data set such as s-f")
-    dataset = registry.load(name, num_graphs, seed)
+    with shown_data(quiet):
+        dataset = registry.load(name, num_graphs, seed)
     npz.save(output, *dataset)
     print(f"{output}: {counted(len(dataset.graphs))}")
 
@@ -57,6 +65,7 @@ def import_(
     like: str | None = None,
     units: str | None = None,
     turn: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Make a data set from a file that you have.
 
@@ -72,13 +81,15 @@ def import_(
       units: of floor plans of your own: m, cm, mm, ft, in, or how many metres one is, such as 0.02
         where a pixel is 2 cm; by default what their rooms tell, if they do.
       turn: turn each of them by a random angle, as those of known sets are, for training.
+      quiet: show no progress on a terminal.
     """
     from sg3d_jax.data import registry
     from sg3d_jax.io import npz
 
     check_at_least("--seed", seed, 0)
     check_output(output, (".npz",))
-    graphs, header = registry.import_file(name, source, seed, like, units, turn)
+    with shown_data(quiet):
+        graphs, header = registry.import_file(name, source, seed, like, units, turn)
     npz.save(output, graphs, header)
     print(f"{output}: {counted(len(graphs))}")
     if units is None and (unit := header.get("units", "m")) != "m":
@@ -216,10 +227,7 @@ def _graph(source: str, index: int, split: str | None) -> Any:
     from sg3d_jax.train.config import DataConfig
     from sg3d_jax.train.dataset import load_split
 
-    graphs = load_split(DataConfig(source), split)
-    if not 0 <= index < len(graphs):
-        raise ValueError(f"{source}: --index must be in 0..{len(graphs) - 1}, got {index}")
-    return graphs[index]
+    return one_of(source, load_split(DataConfig(source), split), index)
 
 
 def _print_data_sets() -> None:

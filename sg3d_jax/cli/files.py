@@ -37,7 +37,7 @@ def view(
         for a page.
       plan: draw the picture from above, floor by floor, with the names or ids of rooms.
       truth: for a plan or a page, a file or a data set that has the true graphs in the same order:
-        what differs is marked in the plan.
+        what differs is marked, in the plan and in space.
       follow: draw a stream of graphs, a line each, as `sg3d follow --graphs` writes it, from a file
         or from standard input (-): the page is written again after every line, and loads itself
         again until the stream ends.

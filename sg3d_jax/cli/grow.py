@@ -43,6 +43,8 @@ def complete(
     weights: str = DEFAULT_WEIGHTS,
     diffusion_steps: int | None = None,
     keep: bool = False,
+    until: str | None = None,
+    without: tuple[str, ...] = (),
     normals: Literal["check", "as-given"] = "check",
     cut: Literal["auto", "never"] = "auto",
     lanes: int | None = None,
@@ -72,6 +74,8 @@ def complete(
       weights: weights by name, or an npz file.
       diffusion_steps: sampling steps of the topology; fewer are faster.
       keep: take everything in the file as given, such as rooms that are known, and grow on.
+      until: leave out of the result what is above this concept, such as room.
+      without: leave these concepts out of the result, such as wall.
       normals: turn those that point out of rooms all over, or take all as given.
       cut: cut planes that rooms share where walls abut, and join the pieces again, or never.
       lanes: scenes that a device grows together; results do not depend on it, but for rounding.
@@ -90,6 +94,7 @@ def complete(
     from sg3d_jax.io.attributes import check_attributes
     from sg3d_jax.io.formats import check_writable, read_with_attributes
     from sg3d_jax.scene.graph import ontology_of
+    from sg3d_jax.scene.restrict import kept_concepts
     from sg3d_jax.train.weights import load_weights, with_diffusion_steps
 
     check_at_least("--samples", samples, 1)
@@ -102,6 +107,7 @@ def complete(
     initialise(coordinator, num_processes, process_id)
     run_code(code)
     trained = with_diffusion_steps(load_weights(weights), diffusion_steps)
+    kept = kept_concepts(trained.model.ontology, until, without)
     with to_read(planes) as (source, called):
         scenes = read_with_attributes(source, columns_in(columns), trained.model.ontology)
     names = [f"{called}: graph {index}" for index in range(len(scenes))]
@@ -137,6 +143,7 @@ def complete(
         for number, completions in zip(numbers, each, strict=True):
             completions = _with_card(completions, trained)
             completions = _with_remarks(completions, scenes[number].remarks)
+            completions = [_restricted(completion, kept) for completion in completions]
             for sample, completion in enumerate(completions):
                 place = {"scene": number, "sample": sample}
                 write(_document(completion, scenes[number].attributes, origin, place))
@@ -210,6 +217,22 @@ def _with_card(completions: list[Any], trained: Any) -> list[Any]:
 def _with_remarks(completions: list[Any], remarks: tuple[str, ...]) -> list[Any]:
     """Returns the completions of a scene that say something else first."""
     return [one._replace(remarks=(*remarks, *one.remarks)) for one in completions]
+
+
+def _restricted(completion: Any, kept: Any) -> Any:
+    """Returns a completion of some concepts, bool[C]; what it says of the whole stays."""
+    from sg3d_jax.scene.graph import parts_first, subgraph
+
+    rows = kept[completion.graph.nodes.label]
+    places = {
+        "source": rows[: completion.num_given],
+        "node_confidence": rows,
+        "edge_confidence": rows[parts_first(completion.graph)].all(axis=1),
+        "kinds": rows[completion.num_given :],
+    }
+    held = {name: getattr(completion, name) for name in places}
+    left = {name: held[name][places[name]] for name in places if held[name] is not None}
+    return completion._replace(graph=subgraph(completion.graph, rows), **left)
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from scipy.sparse.csgraph import connected_components
 from sg3d_jax.data.buildings import Storey
 from sg3d_jax.data.levels import Floor, Floors
 from sg3d_jax.data.plans import MIN_SIDES, Plan, read_plans
+from sg3d_jax.data.watching import watched
 
 MIN_PIECE: Final = 0.9  # of a room's area that must stay in one piece when it is repaired
 TOUCHING: Final = 0.01  # metres: rooms closer than this are drawn without a wall between them
@@ -111,7 +112,7 @@ def read_floors(path: str | Path, config: FloorplanConfig = RULES) -> Floors:
       ValueError: the file is broken: one sentence that names the line, the room and the field.
     """
     floors, left_out = [], []
-    for plan in read_plans(path):
+    for plan in watched(read_plans(path), "floors"):
         try:
             storey = storey_of_rooms(plan.rooms, config)
             floors.append(Floor(plan.building, plan.origin, storey, plan.names))
@@ -132,7 +133,7 @@ def floors_of(plans: Sequence[Plan], scale: float, config: FloorplanConfig = RUL
       The floors, and a sentence for each room, and each floor, that is not among them.
     """
     floors, left_out = [], []
-    for plan in plans:
+    for plan in watched(plans, "floors"):
         faults, kept = list(plan.faults), list(range(len(plan.rooms)))
         try:
             while True:

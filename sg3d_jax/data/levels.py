@@ -20,6 +20,7 @@ import numpy as np
 
 from sg3d_jax.data.buildings import Building, Storey, city_graph, move, outline, place
 from sg3d_jax.data.splits import split_groups
+from sg3d_jax.data.watching import watched
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.ontology import BUILDING, CITY, FLOOR, ROOM
 
@@ -160,7 +161,7 @@ def _scenes(
         )
     made = [
         scene(index, np.flatnonzero(fits & (parts == parts[index])), _generator(seed, index))
-        for index in np.flatnonzero(fits).tolist()
+        for index in watched(np.flatnonzero(fits).tolist(), "graphs")
     ]
     graphs, origins = [one.graph for one in made], [one.origin for one in made]
     return Imported(graphs, parts[fits].tolist(), origins, [_names(one) for one in made])

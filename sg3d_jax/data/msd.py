@@ -35,6 +35,7 @@ from scipy.sparse.csgraph import connected_components
 from sg3d_jax.data.buildings import Storey
 from sg3d_jax.data.floorplan import Sides, check_corners, check_metres, sides_of, storey_of
 from sg3d_jax.data.levels import Floor, Floors
+from sg3d_jax.data.watching import watched
 
 COLUMNS: Final = ("apartment_id", "building_id", "floor_id", "roomtype", "geom")
 BALCONY: Final = "Balcony"
@@ -121,7 +122,7 @@ def read_floors(path: str | Path, max_apartments: int = MAX_APARTMENTS) -> Floor
         if thing.apartment in drawn_in:
             drawn_in[thing.apartment].append(thing)
     floors, left_out = [], []
-    for apartment, things in drawn_in.items():
+    for apartment, things in watched([*drawn_in.items()], "floors"):
         building, floor = things[0].building, things[0].floor
         origin = f"{floor}_{apartment}"
         drawn = [_parse(thing) for thing in things]

@@ -20,6 +20,7 @@ from sg3d_jax.data import furnished, synthetic, wide
 from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY, FurnishedConfig
 from sg3d_jax.data.robot import VIEWS, view
 from sg3d_jax.data.synthetic import CityConfig, SyntheticConfig
+from sg3d_jax.data.watching import watched
 from sg3d_jax.data.wide import WideConfig
 from sg3d_jax.io import npz
 from sg3d_jax.io.files import MAX_GRAPHS
@@ -227,7 +228,8 @@ def _drawn(name: str, spec: DatasetSpec, num_graphs: int | None, seed: int) -> l
     count = spec.num_graphs if num_graphs is None else num_graphs
     if count > MAX_GRAPHS:
         raise ValueError(f"{name}: {count} graphs are asked for, expected {MAX_GRAPHS} at most")
-    return [synthetic.make_scene(spec.config, seed, index) for index in range(count)]
+    places = watched(range(count), "graphs")
+    return [synthetic.make_scene(spec.config, seed, index) for index in places]
 
 
 def header(name: str, seed: int = 0) -> dict[str, object]:
@@ -374,7 +376,8 @@ def load(name_or_path: str | Path, num_graphs: int | None = None, seed: int = 0)
     if seen_as is not None:
         graphs, about = _to_be_seen(base, seen_as, num_graphs, seed)
         config = VIEWS[seen_as]
-        seen = [view(graph, config, seed, index).graph for index, graph in enumerate(graphs)]
+        each = enumerate(watched(graphs, "views"))
+        seen = [view(graph, config, seed, index).graph for index, graph in each]
         return Dataset(seen, about)
     if is_name(name):
         return Dataset(make(name, num_graphs, seed), header(name, seed))
