@@ -185,7 +185,8 @@ def training(row: Row, seconds: float) -> dict[str, Any]:
 
     from sg3d_jax.data import registry
     from sg3d_jax.train.dataset import slots_of, stack_by_size
-    from sg3d_jax.train.step import init_state, make_train_call
+    from sg3d_jax.train.processes import on_all_devices
+    from sg3d_jax.train.step import init_state, make_train_call, mesh_of
     from sg3d_jax.train.weights import load_weights
 
     trained = load_weights(row.of)
@@ -197,7 +198,9 @@ def training(row: Row, seconds: float) -> dict[str, Any]:
     config = dataclasses.replace(trained.config, **sizes, steps_per_call=CALL_STEPS)
     state = init_state(config, trained.model, jax.tree.map(lambda leaf: leaf[0], stacked))
     state = jax.tree.map(jax.numpy.copy, state)  # a call takes over the arrays that it is given
-    call, key = make_train_call(config, trained.model), jax.random.key(0)
+    given = state, jax.random.key(0), stacked  # where calls leave them: else two are compiled
+    state, key, stacked = on_all_devices(given, mesh_of(config))
+    call = make_train_call(config, trained.model)
     flops = _flops_of(call.trace(state, key, stacked).jaxpr.jaxpr)
     states = [state]
 
