@@ -1,6 +1,5 @@
 """JAX as the tests want it: strict, two devices, and with compiled programs kept between runs."""
 
-import contextlib
 import os
 from pathlib import Path
 
@@ -20,25 +19,12 @@ jax.config.update("jax_num_cpu_devices", 2)
 jax.config.update("jax_disable_most_optimizations", True)  # tests compile for long and run briefly
 
 
-def _compilation_caches() -> Path:
-    """Returns the folder of all workers' compiled programs."""
+def _compilation_cache() -> Path:
+    """Returns one folder a worker: JAX's cache is not safe against concurrent writers."""
     user_cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     root = os.environ.get("JAX_COMPILATION_CACHE_DIR") or Path(user_cache, "sg3d_jax", "tests")
-    return Path(root)
+    return Path(root, os.environ.get("PYTEST_XDIST_WORKER", "main"))
 
 
-def _share_programs(caches: Path) -> None:
-    """Gives every worker what the others compiled in earlier runs, on another Python too."""
-    folders = [path for path in caches.glob("*") if path.is_dir()]
-    for program in [path for folder in folders for path in folder.iterdir() if path.is_file()]:
-        for folder in folders:
-            with contextlib.suppress(FileExistsError):
-                (folder / program.name).hardlink_to(program)
-
-
-# One folder a worker: JAX's cache is not safe against concurrent writers.
-worker = os.environ.get("PYTEST_XDIST_WORKER")
-if worker is None:  # before there are any
-    _share_programs(_compilation_caches())
-jax.config.update("jax_compilation_cache_dir", str(_compilation_caches() / (worker or "main")))
+jax.config.update("jax_compilation_cache_dir", str(_compilation_cache()))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)

@@ -18,6 +18,8 @@ from tests.two_rooms import (
     two_rooms,
 )
 
+pytestmark = pytest.mark.slow
+
 STEPS = 3
 
 

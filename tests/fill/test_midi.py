@@ -24,6 +24,8 @@ from tests.two_rooms import (
     two_rooms,
 )
 
+pytestmark = pytest.mark.slow
+
 STEPS = 3
 NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
 SIZES = MiDiConfig(8, 1, 2, 8, 8, 1, 2, diffusion_steps=STEPS, noise_levels=4, sampling_steps=STEPS)

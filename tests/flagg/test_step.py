@@ -22,6 +22,8 @@ from tests.growing_rooms import NEVER, AddRooms, grows_rooms
 from tests.own_world import ONTOLOGY
 from tests.two_rooms import NUM_PLANES, STATISTICS, on_device, random_params, two_rooms
 
+pytestmark = pytest.mark.slow
+
 SCENE = two_rooms()
 PAPER_LAYERS = ("room", "wall", "floor", "building", "city")
 QUIET = step.CorruptionConfig(0.0, 0.0, 0.0, 0.0)
