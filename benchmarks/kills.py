@@ -190,7 +190,7 @@ def kill_stream(shell: Shell, name: str, kills: int, draw: random.Random) -> Cou
     seconds, _ = shell.succeed(*given, "-o", written)
     whole, found = output.read_bytes(), Counter[str]()
     for _ in range(kills):
-        output.unlink()
+        output.unlink(missing_ok=True)  # of one that was killed before it wrote
         after, seen = draw.uniform(0, 1) * seconds, None
         if draw.random() < 0.5:  # when the first lines are there
             after, seen = after / 8, lambda: output.exists() and output.stat().st_size > 0
