@@ -228,7 +228,7 @@ def test_no_more_are_drawn_once_most_are_alike(monkeypatch):
 
     monkeypatch.setattr(completing, "are_settled", settled)
     [[one], [other]] = complete(MODEL, stop_at(11), [first_planes(8), first_planes(5)])
-    assert asked == [(2, 8), (2, 5), (4, 8)]
+    assert sorted(asked) == [(2, 5), (2, 8), (4, 8)]  # whichever scene is done first
     [[alone]] = complete(MODEL, stop_at(11), [first_planes(8)])
     assert same(one, alone)
     assert (one.node_confidence[NUM_PLANES:] < 1).all()
