@@ -3,8 +3,8 @@
 The learning rate follows the clock, not a number of steps: a machine that is lent for ten minutes
 is used to the last of them, however fast it is. Graphs are made in as many processes, and buckets
 compiled in as many threads, as there are cores; with --fresh-every they are drawn anew meanwhile.
-Of several devices each takes a batch of every
-step, and the rate grows by the square root of their number (docs/scaling.md).
+Of several devices each takes a batch of every step, and the rate grows by the square root of their
+number (docs/scaling.md).
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """

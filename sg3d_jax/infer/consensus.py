@@ -23,7 +23,7 @@ parts chosen below, so that one room does not cost the votes for its floor.
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -219,7 +219,7 @@ def adopted(
         held = [version.parts for ballot in ballots for version in ballot if part in version.parts]
         if 2 * len(held) > len(ballots) and chosen:
             shared = {one: sum(len(one.parts & other) for other in held) for one in chosen}
-            best = max(chosen, key=lambda one: (shared[one], sorted(one.parts), one.row))
+            best = _foremost(shared)
             if shared[best]:
                 joins[best].add(part)
     return joins
@@ -256,9 +256,10 @@ def _beside(
     joins: dict[Version, set[int]] = {version: set() for version in chosen}
     for part, number in voters.items():
         if 2 * number > len(ballots):
-            best = max(chosen, key=lambda one: (votes[part, one], sorted(one.parts), one.row))
+            had = {one: votes[part, one] for one in chosen}
+            best = _foremost(had)
             for one in chosen:
-                if one == best or 2 * votes[part, one] > len(ballots):
+                if one == best or 2 * had[one] > len(ballots):
                     joins[one].add(part)
     return joins
 
@@ -271,9 +272,13 @@ def _alike(version: Version, chosen: AbstractSet[Version]) -> Version | None:
     def nearness(one: Version) -> tuple[bool, int]:
         return one.row == version.row >= 0, len(one.parts & version.parts)
 
-    near = [one for one in chosen if any(nearness(one))]
-    order = lambda one: (*nearness(one), sorted(one.parts), one.row)
-    return max(near, key=order, default=None)
+    near = {one: nearness(one) for one in chosen if any(nearness(one))}
+    return _foremost(near) if near else None
+
+
+def _foremost(weight: Mapping[Version, Any]) -> Version:
+    """Returns the version of the greatest weight; of equal ones it is the same in any order."""
+    return max(weight, key=lambda one: (weight[one], sorted(one.parts), one.row))
 
 
 def _exchanges(

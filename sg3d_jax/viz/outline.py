@@ -142,11 +142,11 @@ def differences(graph: SceneGraph, plan: Plan, truth: SceneGraph) -> tuple[set[i
     The segments of an area of the truth are told by those of the graph that are in their place.
     """
     match = matched(graph, truth)
-    odd = {row for row in plan.areas if is_odd(graph, match)[row]}
-    return odd, [
+    odd, missing = is_odd(graph, match), is_missing(truth, match)
+    return {row for row in plan.areas if odd[row]}, [
         Area(area.corners, match[area.held][match[area.held] >= 0])
         for row, area in plan_of(truth).areas.items()
-        if is_missing(truth, match)[row]
+        if missing[row]
     ]
 
 
