@@ -192,11 +192,13 @@ def test_flipped_normals_are_turned_or_kept(weights, capsys):
 
 
 def test_shared_planes_are_cut_unless_they_are_not_to_be(weights, capsys):
-    """Two rooms along one plane: a wall between them abuts on it."""
+    """Two rooms along one plane: a wall between them abuts on it. A third stands elsewhere."""
     sides = [
         *[([0.0, 1.5], [1, 0], 3.0), ([4.0, 1.5], [-1, 0], 3.0), ([2.0, 0.0], [0, 1], 4.0)],
         *[([4.2, 1.5], [1, 0], 3.0), ([8.2, 1.5], [-1, 0], 3.0), ([6.2, 0.0], [0, 1], 4.0)],
         ([4.1, 3.0], [0, -1], 8.2),
+        *[([20.0, 1.5], [1, 0], 3.0), ([24.0, 1.5], [-1, 0], 3.0)],
+        *[([22.0, 0.0], [0, 1], 4.0), ([22.0, 3.0], [0, -1], 4.0)],
     ]
     scene = {
         "planes": [
@@ -205,7 +207,7 @@ def test_shared_planes_are_cut_unless_they_are_not_to_be(weights, capsys):
         ]
     }
     write("planes.json", scene)
-    cut = "cut 1 of 7 planes where others abut on them, and joined them again"
+    cut = "cut 1 of 11 planes where others abut on them, and joined them again"
     for options, expected in (((), True), (("--cut", "never"), False)):
         document = complete("planes.json", weights, *options)
         assert observed(document) == scene

@@ -26,13 +26,13 @@ from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
 from sg3d_jax.scene.graph import observed_of, undirected_edges
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import part_of_adjacency, unpad
-from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.scene.validate import validate_graph
 from tests.two_rooms import (
     CAPACITY,
     NO_GATES,
     NUM_PLANES,
     STATISTICS,
+    observed,
     on_device,
     random_params,
     two_rooms,
@@ -144,7 +144,7 @@ def test_a_sample__is_that_of_a_loop_that_undoes_each_step_and_takes_it_again(mo
     monkeypatch.setattr(midi, "apply", drawn_to_planes)
     config = dataclasses.replace(SIZES, diffusion_steps=9, sampling_steps=3, resamplings=1)
     model, params = MiDiOracle(config, STATISTICS), {"encoder": None, "denoiser": None}
-    planes, schedules = connect_observed(on_device(observed_of(SCENE))), make_schedules(config)
+    planes, schedules = observed(SCENE), make_schedules(config)
     frame = midi.frame_of(planes, STATISTICS)
     mask = jnp.arange(one_shot_capacity(CAPACITY.nodes)) < NUM_NEW
     known = mask, planes.nodes.mask, STATISTICS.marginals
@@ -168,7 +168,8 @@ def test_a_sample__is_that_of_a_loop_that_undoes_each_step_and_takes_it_again(mo
         first, again = jax.random.split(keys[step], 2)
         _, undone, _ = draw(first, state, *map(jnp.asarray, times))
         state, _, logits = draw(again, undone, *map(jnp.asarray, times))
-    topology, mask = digress.settled(key_last, state.topology, logits, mask, rules)
+    settle = jax.jit(lambda key, *drawn: digress.settled(key, *drawn, mask, rules))
+    topology, mask = settle(key_last, state.topology, logits)
     expected = midi.to_block(state._replace(topology=topology), frame, mask)
     grown = jax.jit(model.sample)(params, key, planes, jnp.asarray(NUM_NEW)).graph.nodes
     new = slice(NUM_PLANES, NUM_PLANES + NUM_NEW)
