@@ -3,7 +3,8 @@
 A piece is the one of before that it covers most of, on the same observed node or on what was merged
 into it. It is the same while its ends and its direction are, whichever way the whole of it went; so
 a map that is bent by the closing of a loop takes its rooms along, and nothing has to be drawn again
-unless parts have moved apart.
+unless parts have moved apart. What is observed as it was, to the bit, has not moved, though what
+came beside it may cut it elsewhere.
 """
 
 from collections.abc import Mapping
@@ -35,6 +36,7 @@ class _Match(NamedTuple):
     old: np.ndarray  # int[k], row among the pieces of before, -1 for those that are new
     ends: np.ndarray  # float[k, 2], metres that the ends have moved along the piece since
     turned: np.ndarray  # bool[k], points elsewhere
+    still: np.ndarray  # bool[k], is of what is as it was, to the bit
 
 
 def carried(
@@ -55,7 +57,7 @@ def carried(
     """
     graph, tracks = known
     num_before, num_now = len(before.pieces.owner), len(now.pieces.owner)
-    old, ends, turned = _matched(graph, before, now, in_pieces, heir)
+    old, ends, turned, still = _matched(graph, before, now, in_pieces, heir)
     goes_on = np.flatnonzero(old >= 0)
     place = np.full(len(graph.nodes.label), -1)
     place[old[goes_on]] = goes_on
@@ -73,7 +75,8 @@ def carried(
     grew = carried_on.grew + np.pad(ends, [(0, len(source) - num_now), (0, 0)])
     changed = (source < 0) | (np.abs(grew) > GREW).any(axis=1)
     changed[:num_now] |= turned
-    position, apart = _taken_along(graph, made, source, changed)
+    still = np.pad(still, (0, len(source) - num_now))
+    position, apart = _taken_along(graph, made, source, changed, still)
     due = carried_on.due | changed | apart
     due[place[pairs[~is_there, 1]]] = True
     carried_on.id[source < 0] = -1
@@ -85,7 +88,11 @@ def carried(
 
 
 def _taken_along(
-    graph: SceneGraph, made: SceneGraph, source: np.ndarray, changed: np.ndarray
+    graph: SceneGraph,
+    made: SceneGraph,
+    source: np.ndarray,
+    changed: np.ndarray,
+    still: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moves wholes as their parts have moved.
 
@@ -94,6 +101,7 @@ def _taken_along(
       made: over the pieces of now; wholes are where they were.
       source: int[n], which node of `graph` each is, -1 for what is new.
       changed: bool[n], what is not what it was, and tells nothing.
+      still: bool[n], what has not moved, though its middle may have.
 
     Returns:
       float[n, 3], metres; bool[n], wholes whose parts have moved apart, and observed nodes without
@@ -101,7 +109,8 @@ def _taken_along(
     """
     nodes, part_of = made.nodes, part_of_matrix(made)
     position, apart = nodes.position.copy(), np.zeros(len(source), bool)
-    earlier = np.where((source < 0)[:, None], position, _of_rows(graph.nodes.position, source))
+    is_there = (still | (source < 0))[:, None]
+    earlier = np.where(is_there, position, _of_rows(graph.nodes.position, source))
     normal = _of_rows(graph.nodes.normal, source)
     has_moved = (earlier != position).any(axis=1)
     part_of_one = part_of & (nodes.observed & ~changed)[:, None]
@@ -153,11 +162,24 @@ def _matched(
     turned = normal_before.any(axis=1) & (cosine < np.cos(np.radians(TURNED)))
     chosen = _best_pairs(new, old, shared, is_merged[previous])
     count = len(now.pieces.owner)
-    match = _Match(np.full(count, -1), np.zeros((count, 2)), np.zeros(count, bool))
+    match = _Match(np.full(count, -1), np.zeros((count, 2)), *np.zeros((2, count), bool))
     match.old[new[chosen]] = old[chosen]
     match.ends[new[chosen]] = (ends - ends_before)[chosen]
     match.turned[new[chosen]] = turned[chosen]
+    match.still[new[chosen]] = _alike(now.graph, owner, before.graph, previous)[chosen]
     return match
+
+
+def _alike(
+    graph: SceneGraph, rows: np.ndarray, before: SceneGraph, rows_before: np.ndarray
+) -> np.ndarray:
+    """Returns bool[m], which nodes are to the bit where, and as, others are."""
+    one, other = graph.nodes, before.nodes
+    return (
+        (one.position[rows] == other.position[rows_before]).all(axis=1)
+        & (one.normal[rows] == other.normal[rows_before]).all(axis=1)
+        & (one.width[rows] == other.width[rows_before])
+    )
 
 
 def _best_pairs(

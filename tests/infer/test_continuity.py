@@ -168,6 +168,18 @@ def test_pieces_of_a_plane_that_moves__go_along():
     npt.assert_allclose(after.graph.nodes.position, expected, rtol=0, atol=1e-9)
 
 
+def test_a_plane_that_is_but_cut_elsewhere__has_not_moved():
+    before, position = seen(shared(0.0)), np.array(shared(0.0).nodes.position)
+    position[4, 0] += 0.1  # what ends the first piece of the third
+    now = seen(before.graph._replace(nodes=before.graph.nodes._replace(position=position)))
+    pieces = [of_pieces(one.graph, one.pieces).nodes.position for one in (before, now)]
+    assert (pieces[0] != pieces[1]).any(axis=1).nonzero()[0].tolist() == [2, 5]
+    known = over(before, (0, 1, 3, 4), (2, 6, 7))
+    after = carry(known, before, now)
+    npt.assert_array_equal(after.graph.nodes.position[8:], known.graph.nodes.position[8:])
+    assert not after.tracks.due[8:].any()
+
+
 def test_what_is_new__is_due_and_has_no_past():
     few = make_graph([PLANE] * 7, *(field[:7] for field in PLANES.nodes[1:4]))
     before = seen(few)
