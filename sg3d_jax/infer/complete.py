@@ -222,6 +222,11 @@ def _drawn(scene: Scene, samples: int, candidates: int) -> Course[list[list[_Dra
     return drawn
 
 
+def _has_ended(drawn: _Drawn) -> bool:
+    """Returns whether a graph came to its end; one that did not repeats itself, and has no vote."""
+    return HALT_REASONS[drawn.halt_reason] not in INCOMPLETE
+
+
 def _graphs(drawn: Sequence[_Drawn]) -> list[SceneGraph]:
     return [one.graph for one in drawn]
 
@@ -235,12 +240,13 @@ def _completions(
     kept: list[_Drawn] = []
     chances: list[np.ndarray | None] = []
     for candidates in samples:
+        voters = [one for one in candidates if _has_ended(one)] or candidates
         # Pieces of one observed node may belong to several wholes, so they vote apart.
-        graph, index = consensus(_graphs(candidates), scene.num_in_pieces)
+        graph, index = consensus(_graphs(voters), scene.num_in_pieces)
         chances.append(kinds(scene, graph))
         graph = whole_again(scene, graph)
         graph = graph if chances[-1] is None else with_kinds(graph, chances[-1])
-        kept.append(candidates[index]._replace(graph=graph))
+        kept.append(voters[index]._replace(graph=graph))
     drawn = [whole_again(scene, one.graph) for candidates in samples for one in candidates]
     graphs = [one.graph for one in kept]
     judgements = judged(graphs, drawn, scene.num_given)

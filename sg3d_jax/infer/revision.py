@@ -2,8 +2,11 @@
 
 A draw is one opinion, and the map is what stayed of those before. So what is drawn replaces what is
 there only around what has changed, where nothing was there, or where a node is drawn elsewhere
-twice in a row: nothing flickers. Concepts are revised bottom-up, each over the parts that the map
-then has; the drawn whole that shares most parts with one that is there goes on as that one.
+twice in a row: nothing flickers. A whole that was drawn just so twice has settled: as long as none
+of its parts has changed, what is observed joins or leaves it only if that is drawn twice in a row;
+what is new waits for it, and is drawn again by the next update. Concepts are revised bottom-up,
+each over the parts that the map then has; the drawn whole that shares most parts with one that is
+there goes on as that one.
 """
 
 from collections.abc import Callable
@@ -22,7 +25,7 @@ from sg3d_jax.scene.graph import (
 )
 from sg3d_jax.scene.ontology import Ontology
 
-PATIENCE: Final = 2  # draws in a row that a node must be elsewhere in where nothing has changed
+PATIENCE: Final = 2  # draws that settle a whole, and that in a row then change what has settled
 
 
 class Tracks(NamedTuple):
@@ -58,6 +61,7 @@ class _Overlay(NamedTuple):
     hidden: np.ndarray  # bool[m], wholes that the draw was not given, and has its own version of
     firm: np.ndarray  # bool[m], stays whatever comes
     due: np.ndarray  # bool[m], is drawn because it has changed
+    settled: np.ndarray  # bool[m], wholes that were drawn so before, and of which nothing changed
 
 
 class _Verdict(NamedTuple):
@@ -109,12 +113,13 @@ def revised(
     position = there + share[:, None] * (drawn_at - there)
     lasting = there, position, over.known, part_of, over.label, over.ontology, share == 0
     graph = _with_nodes(known.graph, over.label, followed(*lasting), part_of)
+    is_waiting = ~part_of.any(axis=1) & verdict.astray.any(axis=1) & graph.nodes.observed
     tracks.id[over.new], tracks.born[over.new] = -1, update
     tracks = tracks._replace(
         drawn=np.where(changed, 1, tracks.drawn + again),
         held=np.where(changed, 1, tracks.held + (again & agrees)),
         astray=verdict.astray,
-        due=tracks.due & ~inside & ~over.open,
+        due=tracks.due & ~over.open & (~inside | is_waiting),
     )
     return _numbered(_of_rows(Map(graph, tracks), np.flatnonzero(stays)), next_id)
 
@@ -175,17 +180,24 @@ def _overlaid(known: Map, region: Region, drawn: SceneGraph) -> _Overlay:
     is_open, firm = _padded(region.open, further), _padded(known.tracks.firm, further)
     is_open[new] = True
     hidden = is_open | (firm & ~np.isin(np.arange(total), rows))
+    part_of, due = (
+        _matrix(known.graph, np.arange(num_known), total),
+        _padded(known.tracks.due, further),
+    )
+    settled = (_padded(known.tracks.held, further) >= PATIENCE) & ~due & ~part_of[due].any(axis=0)
+    settled &= due.any()  # else the map is thought over, to change
     return _Overlay(
         ontology_of(known.graph),
         np.concatenate([known.graph.nodes.label, drawn.nodes.label[num_given:]]),
-        _matrix(known.graph, np.arange(num_known), total),
+        part_of,
         _matrix(drawn, rows, total),
         rows,
         new,
         is_open,
         hidden,
         firm,
-        _padded(known.tracks.due, further),
+        due,
+        settled,
     )
 
 
@@ -196,7 +208,8 @@ def _judged(
     ontology, label = over.ontology, over.label
     part_of, stands = over.known.copy(), np.arange(len(label))
     told, astray = np.zeros_like(part_of), _padded(astray, len(over.new))
-    fresh = over.due & ontology.is_observed[label]
+    is_observed = ontology.is_observed[label]
+    fresh = over.due & is_observed
     stirred = over.due | (over.known | over.drawn)[fresh].any(axis=0)
     for concept in np.flatnonzero(ontology.may_be_part.any(axis=0)).tolist():
         is_of = label == concept
@@ -215,15 +228,17 @@ def _judged(
         differs = is_drawn & ontology.may_be_part[label, concept]
         differs &= (told != part_of)[:, columns].any(axis=1)
         near = (part_of | told)[:, columns[stirred[columns]]].any(axis=1)
-        is_free = fresh | near | ~part_of[:, is_of].any(axis=1)
+        settled = columns[over.settled[columns]]
+        waits = is_observed & (part_of | told)[:, settled].any(axis=1)
+        is_free = (fresh | near | ~part_of[:, is_of].any(axis=1)) & ~waits
         moves = differs & told[:, columns].any(axis=1) & is_free
         moves |= differs & (astray[:, concept] + 1 >= PATIENCE)
         part_of[np.ix_(moves, columns)] = told[np.ix_(moves, columns)]
         changed = columns[over.open[columns]]
         refused = _refused(part_of[:, changed], over, part_of, concept, is_banned)
         part_of[:, changed[refused]] = False
-        waits = np.where(differs & ~moves, astray[:, concept] + 1, 0)
-        astray[:, concept] = np.where(is_drawn, waits, astray[:, concept])
+        in_a_row = np.where(differs & ~moves, astray[:, concept] + 1, 0)
+        astray[:, concept] = np.where(is_drawn, in_a_row, astray[:, concept])
     return _Verdict(part_of, told, stands, astray)
 
 

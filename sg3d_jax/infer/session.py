@@ -61,6 +61,7 @@ from sg3d_jax.scene.validate import check_observed, validate_graph
 
 LEAST: Final = 96  # nodes of the smallest bucket that regions are grown in
 SPARE: Final = 20  # nodes that may come at least
+IN_ALL: Final = 1.8  # nodes of a complete graph, a node that is observed
 MOST_STEPS: Final = 500  # blocks of a region
 
 Id = int | str
@@ -157,7 +158,7 @@ def warm_up(model: Flagg, params: Params, num_observed: int) -> None:
     Raises:
       ValueError: a map of so many exceeds the largest bucket.
     """
-    largest = bucket(max(LEAST, int(1.8 * num_observed) + SPARE))
+    largest = bucket(_size(int(IN_ALL * num_observed), num_observed))
     capacities = [bucket(size) for size in NODE_CAPACITIES if LEAST <= size <= largest.nodes]
     observed = np.flatnonzero(model.ontology.is_observed)[[0, 0]]
     given = make_graph(observed, np.zeros((2, 3)), ontology=model.ontology)
@@ -302,7 +303,7 @@ def _drawn(model: Flagg, params: Params, session: Session, region: Region) -> Sc
     """Returns a region with what a model grows on it; None if it does not come to an end."""
     given = subgraph(session.known.graph, region.rows)
     centre, num_given = centre_of_observed(given), len(region.rows)
-    size = max(LEAST, num_given + SPARE, int(1.8 * given.nodes.observed.sum()) + 8)
+    size = _size(num_given, int(given.nodes.observed.sum()))
     if size > NODE_CAPACITIES[-1]:
         return None
     numbers = session.seed, session.updates
@@ -317,6 +318,16 @@ def _drawn(model: Flagg, params: Params, session: Session, region: Region) -> Sc
         np.asarray(drawn.nodes.position, np.float64)[num_given:] + centre,
         pairs[(pairs >= num_given).any(axis=1)],
     )
+
+
+def _size(num_given: int, num_observed: int) -> int:
+    """Returns how many nodes a region may have once it has grown.
+
+    Args:
+      num_given: nodes that it is given.
+      num_observed: those of them that are observed.
+    """
+    return max(LEAST, num_given + SPARE, int(IN_ALL * num_observed) + 8)
 
 
 def _grown(

@@ -242,6 +242,34 @@ def test_no_more_are_drawn_once_most_are_alike(monkeypatch):
     assert len(kept[0][0]) == 8
 
 
+@pytest.mark.parametrize(
+    ("reasons", "voters"),
+    [
+        (("CAPACITY", "HALTED", "MAX_STEPS"), [1]),
+        (("CAPACITY", "CAPACITY", "MAX_STEPS"), [0, 1, 2]),
+    ],
+)
+def test_a_candidate_that_did_not_come_to_its_end__has_no_vote(reasons, voters, monkeypatch):
+    draw, seen, voted = completing._drawn, [], []
+
+    def cut_off(*arguments):
+        [drawn] = yield from draw(*arguments)
+        codes = map(completing.HALT_REASONS.index, reasons)
+        seen.extend(one._replace(halt_reason=code) for one, code in zip(drawn, codes, strict=True))
+        return [seen]
+
+    def first(graphs, num_given):
+        voted.extend(graphs)
+        return graphs[0], 0
+
+    monkeypatch.setattr(completing, "are_settled", lambda graphs, num_given: False)
+    monkeypatch.setattr(completing, "_drawn", cut_off)
+    monkeypatch.setattr(completing, "consensus", first)
+    [[made]] = complete(MODEL, stop_at(11), [SCENE], candidates=3)
+    assert all(one is seen[row].graph for one, row in zip(voted, voters, strict=True))
+    assert made.halt_reason == reasons[voters[0]]
+
+
 def test_nodes_and_edges__are_sure_as_far_as_samples_agree():
     [[alone]] = complete(MODEL, stop_at(11), [SCENE], candidates=1)
     assert alone.node_confidence is None

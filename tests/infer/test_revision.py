@@ -103,6 +103,21 @@ def test_what_is_nowhere__is_as_drawn_at_once():
     assert wholes(after)[1] == (ROOM, {*EAST})
 
 
+@pytest.mark.parametrize(
+    ("due", "held", "waits"), [([4], 2, 1), ([4], 1, 0), ([4, 5], 2, 0), ([], 2, 0)]
+)
+def test_what_is_new__waits_to_be_drawn_again_in_what_has_settled(due, held, waits):
+    known, draw = known_as(drawn(WEST, EAST[1:]), due=due), drawn(WEST, EAST)
+    known = known._replace(tracks=known.tracks._replace(held=known.tracks.held * held))
+    for _ in range(waits):
+        known = redrawn(known, draw)
+        assert wholes(known)[1] == (ROOM, {*EAST[1:]})
+        assert np.flatnonzero(known.tracks.due).tolist() == [4]
+    known = redrawn(known, draw)
+    assert wholes(known)[1] == (ROOM, {*EAST})
+    assert not known.tracks.due.any()
+
+
 def test_what_is_drawn_nowhere__stays_where_it_is_at_first():
     known = known_as(BOTH, due=[*EAST])
     once = redrawn(known, drawn(WEST))
