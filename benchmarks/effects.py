@@ -83,7 +83,8 @@ def main() -> None:
         scores = {view: measure(trained, view) for view in SEEN}
         rows: dict[str, Any] = json.loads(RESULT.read_text())["rows"] if RESULT.exists() else {}
         rows[name] = rows.get(name, {}) | {f"seed {arguments.seed}": scores}
-        about = {"steps": STEPS, "scenes": SCENES, **provenance()}
+        source = {key: provenance()[key] for key in ("commit", "machine")}
+        about = {"steps": STEPS, "scenes": SCENES, **source}
         ordered = {known: rows[known] for known in ROWS if known in rows}
         RESULT.write_text(json.dumps({**about, "rows": ordered}, indent=2) + "\n")
         print(name, arguments.seed, scores, flush=True)
