@@ -16,10 +16,8 @@ stand for the same. Votes over nodes that plans match were tried, and are no bet
 
 Source: Margush and McMorris, "Consensus n-trees", Bulletin of Mathematical Biology 43, 1981: what
 most trees have fits together.
-Differs: where there is no majority, a part gets a whole nonetheless; a whole that half of the
-candidates have over what the others leave alone is taken, for they omit oftener than they invent;
-wholes are compared over the parts chosen below, so that one room does not cost the votes for its
-floor.
+Differs: where there is no majority, a part gets a whole nonetheless; wholes are compared over the
+parts chosen below, so that one room does not cost the votes for its floor.
 """
 
 from collections import Counter
@@ -102,10 +100,10 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
             continue
         ballots = [_ballot(one, draft, parts, concept) for one in candidates]
         wholes = [{*ballot} for ballot in ballots]
-        label = np.array(draft.label)[parts]
-        single = {*parts[ontology.has_one_whole[label, concept]].tolist()}
-        observed = {*parts[ontology.is_observed[label]].tolist()}
-        chosen = elected(wholes, start, observed)
+        chosen = elected(wholes, start)
+        single = {
+            one for one in parts.tolist() if ontology.has_one_whole[draft.label[one], concept]
+        }
         joined = adopted(chosen, wholes, single)
         settled = {one for version in chosen for one in version.parts | joined[version]} & single
         beside = _beside(chosen, ballots, settled)
@@ -175,9 +173,7 @@ def _with_whole(draft: _Draft, version: Version, concept: int, position: np.ndar
     return draft._replace(pairs=[*draft.pairs, *new])
 
 
-def elected(
-    ballots: Sequence[AbstractSet[Version]], start: int, observed: AbstractSet[int] = frozenset()
-) -> AbstractSet[Version]:
+def elected(ballots: Sequence[AbstractSet[Version]], start: int) -> AbstractSet[Version]:
     """Returns the wholes of one candidate, exchanged until no other's have more votes.
 
     A part votes in each candidate, for its whole there and against any other. So wholes that a
@@ -185,17 +181,15 @@ def elected(
 
     Args:
       ballots: the wholes of each candidate.
-      start: whose wholes stay where votes are equal and as many observed parts are placed.
-      observed: parts that are placed rather than left alone where votes are equal.
+      start: whose wholes stay where votes are equal.
     """
     holders = Counter(version for ballot in ballots for version in ballot)
 
-    def votes(versions: AbstractSet[Version]) -> tuple[int, int]:
-        votes = sum((2 * holders[one] - len(ballots)) * len(one.parts) for one in versions)
-        return votes, sum(len(one.parts & observed) for one in versions)
+    def votes(versions: AbstractSet[Version]) -> int:
+        return sum((2 * holders[one] - len(ballots)) * len(one.parts) for one in versions)
 
     chosen, before = {*ballots[start]}, None
-    while chosen != before:  # ends: every exchange adds votes, or else places more observed parts
+    while chosen != before:  # ends: every exchange adds votes
         before = {*chosen}
         for ballot in ballots:
             for out, into in _exchanges(chosen - ballot, ballot - chosen):

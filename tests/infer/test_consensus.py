@@ -49,14 +49,6 @@ def test_what_most_have_is_added_and_what_few_have_is_dropped():
         assert exact_structure(consensus(graphs, NUM_PLANES)[0], bare)
 
 
-def test_what_half_have_over_planes_that_the_others_leave_alone_is_added():
-    bare, walled, other = drawn(A, B), drawn(A, B, walls=[(1, 2)]), drawn(A, B, walls=[(1, 3)])
-    for graphs in itertools.permutations([bare, bare, walled, walled]):
-        assert exact_structure(consensus(graphs, NUM_PLANES)[0], walled)
-    graph, _ = consensus([bare, bare, walled, other], NUM_PLANES)  # half, but not of one mind
-    assert exact_structure(graph, bare)
-
-
 def test_where_votes_are_equal_what_it_began_from_stays():
     one, other = drawn(A + B, C, D), drawn(A, B, C + D)
     for graphs in ([one, other], [other, one]):
