@@ -1,31 +1,11 @@
-"""JAX as the tests want it: strict, two devices, and with compiled programs kept between runs.
-
-And what pytest-xdist runs where: tests that share programs in one worker, the longest first.
-"""
+"""JAX as the tests want it: strict, two devices, and with compiled programs kept between runs."""
 
 import gc
 import os
 from pathlib import Path
-from typing import Any, Final
 
 import jax
 import matplotlib
-import pytest
-
-# Files whose names begin alike share a trained run or programs, and so one worker.
-TOGETHER: Final = ("tests/train/", "tests/test_cli")
-# What takes longest begins first, or one worker would wait for the other in the end.
-LONGEST: Final = (
-    *TOGETHER,
-    "tests/test_readme",
-    "tests/test_own_world",
-    "tests/test_distributed",
-    "tests/test_examples",
-    "tests/baselines/",
-    "tests/infer/",
-    "tests/fill/",
-    "tests/flagg/",
-)
 
 gc.set_threshold(50_000, 10, 10)  # tracing makes objects faster than collecting them pays
 
@@ -51,25 +31,3 @@ def _compilation_cache() -> Path:
 
 jax.config.update("jax_compilation_cache_dir", str(_compilation_cache()))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-
-
-def _begins(nodeid: str, prefixes: tuple[str, ...]) -> int:
-    """Returns which of the prefixes a test's name has, or how many there are."""
-    found = (place for place, prefix in enumerate(prefixes) if nodeid.startswith(prefix))
-    return next(found, len(prefixes))
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: _begins(item.nodeid, LONGEST))
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    from xdist.scheduler import LoadFileScheduling
-
-    class Scheduling(LoadFileScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            place = _begins(nodeid, TOGETHER)
-            return TOGETHER[place] if place < len(TOGETHER) else super()._split_scope(nodeid)
-
-    return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
