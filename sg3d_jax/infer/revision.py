@@ -180,10 +180,8 @@ def _overlaid(known: Map, region: Region, drawn: SceneGraph) -> _Overlay:
     is_open, firm = _padded(region.open, further), _padded(known.tracks.firm, further)
     is_open[new] = True
     hidden = is_open | (firm & ~np.isin(np.arange(total), rows))
-    part_of, due = (
-        _matrix(known.graph, np.arange(num_known), total),
-        _padded(known.tracks.due, further),
-    )
+    part_of = _matrix(known.graph, np.arange(num_known), total)
+    due = _padded(known.tracks.due, further)
     settled = (_padded(known.tracks.held, further) >= PATIENCE) & ~due & ~part_of[due].any(axis=0)
     settled &= due.any()  # else the map is thought over, to change
     return _Overlay(
