@@ -13,7 +13,7 @@ import dataclasses
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -85,6 +85,30 @@ def measure(name: str, seed: int, folder: Path) -> dict[str, Any]:
     return {key: round(last[key], 4) for key in ("fgw", "gw", "w", "exact_structure", "halted")}
 
 
+def add_scores(
+    result: Path,
+    about: Mapping[str, Any],
+    order: Iterable[str],
+    name: str,
+    seed: int,
+    scores: Mapping[str, Any],
+) -> None:
+    """Adds the scores of one training to the rows of a file, which keeps those that it has.
+
+    Args:
+      result: the file.
+      about: how all were measured.
+      order: of the rows; others that are there come last.
+      name: of the row.
+      seed: of the training.
+      scores: of it.
+    """
+    rows = json.loads(result.read_text())["rows"] if result.exists() else {}
+    rows[name] = rows.get(name, {}) | {f"seed {seed}": scores}
+    ordered = {known: rows[known] for known in order if known in rows}
+    result.write_text(json.dumps({**about, "rows": ordered | rows}, indent=2) + "\n")
+
+
 def main() -> None:
     """Measures the variants that are asked for, and adds their rows."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -94,11 +118,8 @@ def main() -> None:
     for name in arguments.variants:
         with tempfile.TemporaryDirectory() as folder:
             scores = measure(name, arguments.seed, Path(folder))
-        rows = json.loads(RESULT.read_text())["rows"] if RESULT.exists() else {}
-        rows[name] = rows.get(name, {}) | {f"seed {arguments.seed}": scores}
         about = {"steps": STEPS, "scenes": SCENES, "cores": os.cpu_count()}
-        ordered = {known: rows[known] for known in VARIANTS if known in rows}
-        RESULT.write_text(json.dumps({**about, "rows": ordered | rows}, indent=2) + "\n")
+        add_scores(RESULT, about, VARIANTS, name, arguments.seed, scores)
         print(name, arguments.seed, scores, flush=True)
 
 

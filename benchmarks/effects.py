@@ -10,11 +10,12 @@ benchmarks/results/effects.json, so rows and seeds can be run one at a time.
 
 import argparse
 import dataclasses
-import json
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
+
+from ablation import add_scores
 
 from sg3d_jax.cli.provenance import provenance
 from sg3d_jax.data.robot import VIEWS
@@ -81,12 +82,9 @@ def main() -> None:
             finished = train(configuration(ROWS[name], arguments.seed), Path(folder) / "run")
             trained = load_weights(finished.weights)
         scores = {view: measure(trained, view) for view in SEEN}
-        rows: dict[str, Any] = json.loads(RESULT.read_text())["rows"] if RESULT.exists() else {}
-        rows[name] = rows.get(name, {}) | {f"seed {arguments.seed}": scores}
         source = {key: provenance()[key] for key in ("commit", "machine")}
         about = {"steps": STEPS, "scenes": SCENES, **source}
-        ordered = {known: rows[known] for known in ROWS if known in rows}
-        RESULT.write_text(json.dumps({**about, "rows": ordered}, indent=2) + "\n")
+        add_scores(RESULT, about, ROWS, name, arguments.seed, scores)
         print(name, arguments.seed, scores, flush=True)
 
 
