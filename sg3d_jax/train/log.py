@@ -52,8 +52,12 @@ class TensorBoard(NamedTuple):
             self.summary.add_scalar(f"{kind}/{name}", value, step)
 
 
-def writers(directory: Path, step: int) -> list[Writer]:
-    """Returns the writers of a run directory: log.jsonl always, TensorBoard if at hand.
+@contextlib.contextmanager
+def writers(directory: Path, step: int) -> Generator[list[Writer]]:
+    """Opens the writers of a run directory: log.jsonl always, TensorBoard if at hand.
+
+    TensorBoard's ends with the block, and its thread with it; log.jsonl has all that it has, so a
+    full disk there is no error of its own.
 
     Args:
       directory: of the run.
@@ -62,11 +66,17 @@ def writers(directory: Path, step: int) -> list[Writer]:
     path = directory / "log.jsonl"
     trim(path, step)
     chosen: list[Writer] = [JsonLines(path, time.time())]
-    with contextlib.suppress(ImportError):
+    try:
         tensorboard = importlib.import_module("tensorboardX")
-        folder = str(directory / "tensorboard")
-        chosen.append(TensorBoard(tensorboard.SummaryWriter(folder, purge_step=step + 1)))
-    return chosen
+    except ImportError:
+        yield chosen
+        return
+    summary = tensorboard.SummaryWriter(str(directory / "tensorboard"), purge_step=step + 1)
+    try:
+        yield [*chosen, TensorBoard(summary)]
+    finally:
+        with contextlib.suppress(OSError):
+            summary.close()
 
 
 def trim(path: Path, step: int) -> None:

@@ -347,9 +347,9 @@ def _is_due(config: Config, step: int) -> bool:
 def _run(run: Run, state: TrainState, checkpoints: checkpoint.Checkpoints, directory: Path) -> None:
     """Trains from a state to the end, recording, validating and saving on the way."""
     config, step = run.config, int(state.step)
-    record = writers(directory, step)
+    recording = writers(directory, step)
     made = contextlib.closing(calls(run, state, directory))
-    with display(config.steps, step) as shown, made as coming:
+    with recording as record, display(config.steps, step) as shown, made as coming:
         for called in coming:
             step, seconds = called.step, called.seconds
             for write in record:

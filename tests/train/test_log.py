@@ -1,6 +1,7 @@
 import json
 import math
 import sys
+import threading
 import time
 import types
 from pathlib import Path
@@ -63,28 +64,38 @@ def test_a_number_that_json_lacks_is_null(tmp_path):
     assert (line["fgw"], line["gw"], line["w"]) == (None, None, 1.0)
 
 
-def test_tensorboard_is_written_if_it_is_installed(tmp_path, monkeypatch):
-    seen = []
+def test_tensorboard_is_written_if_it_is_installed_and_its_thread_ends(tmp_path):
+    tensorboard = pytest.importorskip("tensorboardX.event_file_writer")
+    before = set(threading.enumerate())
+    with writers(tmp_path, 2) as chosen:
+        (made,) = set(threading.enumerate()) - before
+        assert isinstance(made, tensorboard._EventLoggerThread)
+        for write in chosen:
+            write("train", 3, {"loss": 1.5})
+    assert not made.is_alive()
+    (written,) = (tmp_path / "tensorboard").iterdir()
+    assert b"train/loss" in written.read_bytes()
+    assert (tmp_path / "log.jsonl").exists()
 
+
+def test_a_disk_that_is_full_for_tensorboard_is_no_error_of_its_own(tmp_path, monkeypatch):
     class SummaryWriter:
         def __init__(self, directory, purge_step):
-            self.directory = directory
             assert purge_step == 3  # what was recorded of step 3 is made again
 
-        def add_scalar(self, name, value, step):
-            seen.append((self.directory, name, value, step))
+        def close(self):
+            raise OSError("No space left on device")
 
     module = types.SimpleNamespace(SummaryWriter=SummaryWriter)
     monkeypatch.setitem(sys.modules, "tensorboardX", module)
-    for write in writers(tmp_path, 2):
-        write("train", 3, {"loss": 1.5})
-    assert seen == [(str(tmp_path / "tensorboard"), "train/loss", 1.5, 3)]
-    assert (tmp_path / "log.jsonl").exists()
+    with pytest.raises(FloatingPointError), writers(tmp_path, 2):
+        raise FloatingPointError  # is what the run says, and not the disk
 
 
 def test_without_tensorboard_there_are_json_lines_only(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX", None)
-    assert [type(writer) for writer in writers(tmp_path, 2)] == [JsonLines]
+    with writers(tmp_path, 2) as chosen:
+        assert [type(writer) for writer in chosen] == [JsonLines]
 
 
 def test_off_a_terminal_every_advance_is_one_plain_line_on_stderr(capsys):
