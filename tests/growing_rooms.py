@@ -11,7 +11,7 @@ from sg3d_jax.flagg.halt import Halt
 from sg3d_jax.flagg.insert import Insert
 from sg3d_jax.flagg.step import Flagg, FlaggConfig, Params
 from sg3d_jax.scene.graph import PackedGraph
-from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, ROOM, Ontology
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, ROOM, WALL, Ontology
 from sg3d_jax.scene.padding import Block
 
 
@@ -34,9 +34,25 @@ class AddRooms:
     ) -> Block:
         num_block, num_old = mask.shape[0], graph.nodes.mask.shape[0]
         edges = jnp.zeros((num_block, num_block + num_old), bool)
-        edges = edges.at[:, num_block : num_block + 2].set(mask[:, None])
+        parts = self.parts(jax.random.fold_in(key, 1), num_block, graph)
+        edges = edges.at[:, num_block:].set(mask[:, None] & parts)
         position = jax.random.uniform(key, (num_block, 3), minval=-1.0) * mask[:, None]
         return Block(jnp.where(mask, self.label, 0), position, edges, mask)
+
+    def parts(self, key: jax.Array, num_block: int, graph: PackedGraph) -> jax.Array:
+        return jnp.arange(graph.nodes.mask.shape[0])[None] < jnp.full((num_block, 1), 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class AddWalls(AddRooms):
+    """Fills a block with walls of any planes, hardly ever the same ones again."""
+
+    label: int = WALL
+
+    def parts(self, key: jax.Array, num_block: int, graph: PackedGraph) -> jax.Array:
+        planes = graph.nodes.mask & graph.nodes.observed
+        drawn = jax.random.randint(key, (num_block, 1), 0, 2**20)  # the same with any padding
+        return ((drawn >> jnp.arange(len(planes))[None]) % 2 == 1) & planes[None]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -117,10 +117,10 @@ def wholes_of(graph: SceneGraph) -> Bool[Array, "C N"]:
     """Returns whether each node is part of some node of each concept."""
     label = graph.nodes.label
     empty = jnp.zeros((ontology_of(graph).num_concepts, label.shape[0]), bool)
-    return empty.at[label[graph.receivers], graph.senders].max(_upwards(graph))
+    return empty.at[label[graph.receivers], graph.senders].max(upwards(graph))
 
 
-def _upwards(graph: SceneGraph) -> Bool[Array, " E"]:
+def upwards(graph: SceneGraph) -> Bool[Array, " E"]:
     """Returns which edges go from a part to its whole."""
     may, label = jnp.asarray(ontology_of(graph).may_be_part), graph.nodes.label
     part_of = graph.edges.mask & (graph.edges.relation == PART_OF)
@@ -145,7 +145,7 @@ def _lacks_parts(graph: SceneGraph, layers: tuple[str, ...]) -> Bool[Array, " N"
     waits = (order_of(ontology, layers).least < least) & ontology.may_be_part.any(axis=0)
     if not waits.any():
         return jnp.zeros(label.shape, bool)
-    parts = jnp.zeros(label.shape, jnp.int32).at[graph.receivers].add(_upwards(graph))
+    parts = jnp.zeros(label.shape, jnp.int32).at[graph.receivers].add(upwards(graph))
     return graph.nodes.mask & jnp.asarray(waits)[label] & (parts < jnp.asarray(least)[label])
 
 

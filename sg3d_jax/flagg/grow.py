@@ -14,15 +14,17 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Int, Key
 
 from sg3d_jax.diffusion.threefry import unrolled
+from sg3d_jax.fill.constraints import upwards
 from sg3d_jax.flagg.compiled import Compiled
 from sg3d_jax.flagg.step import Flagg, Params
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
 from sg3d_jax.scene.padding import without_proximity
 from sg3d_jax.scene.proximity import connect_observed
 
-HALT_REASONS = ("RUNNING", "HALTED", "CAPACITY", "MAX_STEPS", "ONE_SHOT")
-RUNNING, HALTED, CAPACITY, MAX_STEPS, ONE_SHOT = range(len(HALT_REASONS))
+HALT_REASONS = ("RUNNING", "HALTED", "CAPACITY", "MAX_STEPS", "ONE_SHOT", "REPEATED")
+RUNNING, HALTED, CAPACITY, MAX_STEPS, ONE_SHOT, REPEATED = range(len(HALT_REASONS))
 DEFAULT_MAX_STEPS = 2000
+TWINS = 8  # nodes of one concept and the same parts; true graphs, as a robot sees them, have five
 
 
 class Grown(NamedTuple):
@@ -104,9 +106,27 @@ def _with_block(
     grown = model.step(params, key, growing.graph, growing.closing)
     steps = growing.steps + grown.fits
     reason = jnp.where(steps >= max_steps, MAX_STEPS, RUNNING)
+    reason = jnp.where(num_twins(grown.graph) > TWINS, REPEATED, reason)
     reason = jnp.where(grown.halted, HALTED, reason)
     reason = jnp.where(grown.fits, reason, CAPACITY)
     return _Growing(grown.graph, reason, steps, grown.closing)
+
+
+def num_twins(graph: PackedGraph) -> Int[Array, ""]:
+    """Returns how many other nodes have the concept and just the parts of the last one, if any.
+
+    In graphs larger than those that Halt was trained on it may never want to end, and Fill then
+    draws one node without end.
+    """
+    nodes, is_part = graph.nodes, upwards(graph)
+    last = jnp.sum(nodes.mask) - 1
+    none = jnp.zeros(nodes.label.shape, jnp.int32)
+    parts = none.at[graph.senders].max(is_part & (graph.receivers == last))
+    size = none.at[graph.receivers].add(is_part)
+    shared = none.at[graph.receivers].add(is_part * parts[graph.senders])
+    alike = nodes.mask & (nodes.label == nodes.label[last])
+    alike &= (size == size[last]) & (shared == size[last]) & (size > 0)
+    return jnp.maximum(jnp.sum(alike) - 1, 0)
 
 
 def _ended(growing: _Growing) -> Grown:

@@ -25,7 +25,9 @@ class Completion(NamedTuple):
     """A completed graph on the host."""
 
     graph: SceneGraph  # unpadded, float64; what was given comes first, bit for bit if it was right
-    halt_reason: str  # HALTED: found complete; CAPACITY, MAX_STEPS: cut off; ONE_SHOT: did not grow
+    # HALTED: found complete; REPEATED: one thing came again and again; CAPACITY, MAX_STEPS: was cut
+    # off; ONE_SHOT: did not grow.
+    halt_reason: str
     steps: int  # blocks inserted
     source: np.ndarray  # int[k], row in the scene of each node that was given
     confidence: Confidence  # how sure it is; HALTED says nothing about it
@@ -111,7 +113,7 @@ def complete(
       lanes: scenes that a device grows together; None for as many as suit. Results do not depend on
         it, but for rounding.
       outgrow: whether a graph that does not fit its bucket goes on in the next, with room for up to
-        three nodes a plane; else it ends there, with the halt reason CAPACITY.
+        1.25 new nodes a plane; else it ends there, with the halt reason CAPACITY.
       max_steps: a limit on the number of blocks.
       names: what a refusal calls each scene, such as "planes.jsonl: line 3".
       normals: "check" to turn normals that point out of rooms all over, "as-given" to turn none.

@@ -6,18 +6,35 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sg3d_jax.flagg.grow import CAPACITY, HALTED, MAX_STEPS, grow, grow_lanes
-from sg3d_jax.scene.graph import SceneGraph, observed_of, subgraph, undirected_edges
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, ROOM, WALL
+from sg3d_jax.flagg.grow import (
+    CAPACITY,
+    HALTED,
+    MAX_STEPS,
+    REPEATED,
+    TWINS,
+    grow,
+    grow_lanes,
+    num_twins,
+)
+from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, subgraph, undirected_edges
+from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Block, Capacity, masked, stack, unpad
 from sg3d_jax.scene.validate import validate_graph
-from tests.growing_rooms import MODEL, NEVER, ONE_BY_ONE, AddRooms, grows_rooms, stop_at
+from tests.growing_rooms import (
+    MODEL,
+    NEVER,
+    ONE_BY_ONE,
+    AddRooms,
+    AddWalls,
+    grows_rooms,
+    stop_at,
+)
 from tests.two_rooms import NUM_PLANES, on_device, two_rooms
 
 SCENE = two_rooms()
 ROOM_FOR = Capacity(24, 288)
 KNOWN = subgraph(SCENE, np.arange(11))  # both rooms and the wall between them, but no floor
-WALLS = grows_rooms(1, 2, fill=AddRooms(WALL))
+WALLS = grows_rooms(1, 2, fill=AddWalls())
 growing = jax.jit(grow, static_argnames=("model", "max_steps", "ask_first"))
 
 
@@ -65,6 +82,30 @@ def test_growing__ends_for_each_of_its_reasons(model, params, max_steps, reason)
             assert num_new + NUM_PLANES in (ROOM_FOR.nodes - 1, ROOM_FOR.nodes)
         else:  # a third of the slots is for nodes that hear of their kin
             assert num_new in (ROOM_FOR.nodes // 3 - 1, ROOM_FOR.nodes // 3)
+
+
+def test_growing__ends_where_one_thing_is_drawn_again_and_again():
+    scene, rooms = given(observed_of(SCENE), Capacity(48, 576)), grows_rooms(1, fill=AddRooms())
+    for stop, reason in ((NEVER, REPEATED), (stop_at(NUM_PLANES + TWINS + 2), HALTED)):
+        grown = growing(rooms, stop, jax.random.key(0), scene, 50)
+        assert grown.halt_reason == reason
+        assert grown.steps == TWINS + 2
+
+
+def test_twins__have_the_concept_and_the_parts_of_the_last_node():
+    rng, labels = np.random.default_rng(0), [0] * 5 + [1, 2, 1, 1, 2, 1, 3, 1]
+    counts = []
+    for _ in range(40):
+        parts = rng.random((len(labels), 5)) < 0.5
+        parts[rng.integers(5, len(labels), 4)] = parts[-1]
+        sets = [(label, set(np.flatnonzero(row))) for label, row in zip(labels, parts, strict=True)]
+        edges = [(p, whole) for whole in range(5, 13) if labels[whole] < 3 for p in sets[whole][1]]
+        graph = make_graph(labels, rng.normal(size=(13, 3)), part_of=edges)
+        expected = sets[5:-1].count(sets[-1]) if sets[-1][1] else 0
+        assert num_twins(on_device(graph, Capacity(24, 288))) == expected
+        counts.append(expected)
+    assert min(counts) == 0
+    assert max(counts) >= 3
 
 
 @pytest.mark.parametrize("lanes", [None, 2])

@@ -21,13 +21,13 @@ from sg3d_jax.infer.lanes import (
 )
 from sg3d_jax.infer.prepare import prepare
 from sg3d_jax.scene.graph import subgraph, undirected_edges
-from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, WALL
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF
 from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity
-from tests.growing_rooms import NEVER, AddRooms, grows_rooms, stop_at
+from tests.growing_rooms import NEVER, AddWalls, grows_rooms, stop_at
 from tests.tiny_run import untrained_model
 from tests.two_rooms import two_rooms
 
-MODEL = grows_rooms(1, 2, fill=AddRooms(WALL))  # of which every slot may be one
+MODEL = grows_rooms(1, 2, fill=AddWalls())  # of which every slot may be one
 PARTS = [subgraph(two_rooms(), np.arange(count)) for count in (8, 5, 3, 2, 7)]
 
 
@@ -165,19 +165,20 @@ def test_a_graph_that_does_not_fit_goes_on_in_the_next_bucket():
     """As it would have grown in a large one from the start, with the same keys."""
     scenes = [PARTS[0], PARTS[4]]
     assert growth_capacity(8).nodes == 24
-    grown = completed(scenes, stop_at(36))
+    grown = completed(scenes, stop_at(30))
     assert [one.halt_reason for (one,) in grown] == [HALTED, HALTED]
-    assert all(len(one.graph.nodes.label) >= 36 for (one,) in grown)
+    assert all(len(one.graph.nodes.label) >= 30 for (one,) in grown)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lanes, "growth_capacity", lambda *_: Capacity(64, 768))
-        for (one,), (other,) in zip(grown, completed(scenes, stop_at(36)), strict=True):
+        for (one,), (other,) in zip(grown, completed(scenes, stop_at(30)), strict=True):
             assert_same(one, other)
 
 
-def test_a_graph_beyond_three_nodes_a_plane_is_given_up():
+def test_a_graph_beyond_its_largest_bucket_is_given_up():
     assert growth_capacity(5).nodes == 24
     assert largest_capacity(5).nodes == 32
     assert largest_capacity(500).nodes == 1536
+    assert largest_capacity(330).nodes == 768
     assert largest_capacity(5, 100).nodes == 128
     assert largest_capacity(10**6).nodes == NODE_CAPACITIES[-1]
     ((one,),) = completed(PARTS[1:2], NEVER, max_steps=1000)
