@@ -103,10 +103,18 @@ def correct_edges(generated: SceneGraph, truth: SceneGraph) -> np.ndarray:
 
 
 def identities(graph: SceneGraph) -> list[Identity]:
-    """Returns what each node of a host graph stands for; no two stand for the same."""
-    below, before, known = observed_below(graph), Counter(), []
-    for label, row in zip(np.asarray(graph.nodes.label).tolist(), below, strict=True):
-        stands_for = label, row.tobytes()
+    """Returns what each node of a host graph stands for; no two stand for the same.
+
+    Of what is observed below a node the lowest concept says what it stands for, as planes do of a
+    room: a chair that is thought to be next door makes no other room of it.
+    """
+    before, known = Counter(), []
+    below, label = observed_below(graph), np.asarray(graph.nodes.label)
+    observed = label[np.asarray(graph.nodes.observed)]
+    lowest = np.where(below, observed, np.inf).min(axis=1, initial=np.inf)
+    below &= observed == lowest[:, None]
+    for concept, row in zip(label.tolist(), below, strict=True):
+        stands_for = concept, row.tobytes()
         known.append((*stands_for, before[stands_for]))
         before[stands_for] += 1
     return known

@@ -95,6 +95,16 @@ def test_a_node_without_one_of_its_planes_is_wrong_with_all_above_it():
     assert wrong == [[4, EAST], [5, EAST], [6, EAST], [WEST, TOP], [EAST, TOP]]
 
 
+def test_planes_say_which_room_it_is_and_a_pillar_next_door_is_a_wrong_edge():
+    world = own_world()
+    made = with_pairs(world, lost=[(12, 15)], new=[(12, 16)])
+    assert correct_nodes(made, world).all()
+    assert parts_first(made)[~correct_edges(made, world)].tolist() == [[12, 16]]
+    bare = with_pairs(world, lost=[(plane, 15) for plane in range(4)])  # the pillar alone is left
+    wrong = np.flatnonzero(~correct_nodes(bare, world)).tolist()
+    assert wrong == [15, 18, 20]
+
+
 def test_an_edge_between_right_nodes_may_be_wrong():
     """The floor is over all planes still if it is part of them itself."""
     made = with_pairs(two_rooms(), lost=[(WEST, TOP)], new=[(plane, TOP) for plane in range(4)])
