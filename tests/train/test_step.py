@@ -1,6 +1,8 @@
 """Training steps, on a model of two parameters."""
 
 import dataclasses
+import runpy
+import types
 
 import jax
 import jax.numpy as jnp
@@ -9,11 +11,12 @@ import numpy.testing as npt
 import optax
 import pytest
 
+from sg3d_jax.infer.lanes import root_key
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
 from sg3d_jax.scene.padding import Capacity, stack
 from sg3d_jax.train import step
 from sg3d_jax.train.step import TrainState, make_optimiser, make_train_call
-from tests.tiny_run import read_config, small_floors
+from tests.tiny_run import ROOT, read_config, small_floors
 
 CONFIG = dataclasses.replace(read_config("test"), steps=40, batch=3)
 
@@ -162,3 +165,19 @@ def test_a_call_takes_the_memory_of_the_state_that_it_is_given(graphs):
     call, given = one_call(1), copied(start())
     call(given, jax.random.key(7), graphs)
     assert all(leaf.is_deleted() for leaf in jax.tree.leaves(given))
+
+
+def test_seeds_side_by_side_are_trainings_one_by_one(graphs):
+    config = dataclasses.replace(CONFIG, steps=6, steps_per_call=2)
+    run = types.SimpleNamespace(config=config, model=Toy(), stacks=[graphs])
+    script = runpy.run_path(str(ROOT / "examples" / "seeds.py"))
+    together = list(script["trained"](run, (3, 8)))
+    assert len(together) == 3
+    last = together[-1][0]  # those before have lent it their memory
+    for row, seed in enumerate((3, 8)):
+        state, call, key = copied(start()), one_call(2, config), root_key(seed + 1)
+        for _, metrics in together:
+            state, values = call(state, key, graphs)
+            npt.assert_allclose(metrics["loss"][row], values["loss"], rtol=1e-5)
+        npt.assert_allclose(last.average[row], state.average, rtol=1e-5)
+    assert np.abs(last.params[0] - last.params[1]).max() > 1e-4
