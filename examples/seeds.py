@@ -2,7 +2,7 @@
 
     python examples/seeds.py midi-s-f --seeds 0 1 2 -o runs/seeds
 
-A GPU that one training of graphs of this size leaves half idle does three in the time of one; a CPU
+For a GPU that one training of graphs of this size leaves half idle, which is untried; a CPU
 gains nothing. Every seed draws parameters, batches and noise of its own; data, and the order of the
 buckets, are those of the configuration. Where there is one bucket, the weights are those that
 `sg3d train --seed` gives, up to rounding. Nothing is saved on the way: these are the last averages,
