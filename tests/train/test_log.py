@@ -68,8 +68,8 @@ def test_tensorboard_is_written_if_it_is_installed_and_its_thread_ends(tmp_path)
     tensorboard = pytest.importorskip("tensorboardX.event_file_writer")
     before = set(threading.enumerate())
     with writers(tmp_path, 2) as chosen:
-        (made,) = set(threading.enumerate()) - before
-        assert isinstance(made, tensorboard._EventLoggerThread)
+        new = set(threading.enumerate()) - before  # a queue may have one, too
+        (made,) = [one for one in new if isinstance(one, tensorboard._EventLoggerThread)]
         for write in chosen:
             write("train", 3, {"loss": 1.5})
     assert not made.is_alive()
