@@ -18,7 +18,8 @@ from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
 CANDIDATES: Final = 8  # at most, of one sample a scene
 ROUND: Final = 2  # candidates that are drawn before it is asked whether they suffice
-INCOMPLETE = ("CAPACITY", "MAX_STEPS")  # halt reasons of graphs that did not come to their end
+# Halt reasons of graphs that did not come to their end.
+INCOMPLETE = ("CAPACITY", "MAX_STEPS", "REPEATED")
 
 
 class Completion(NamedTuple):

@@ -246,6 +246,7 @@ def test_no_more_are_drawn_once_most_are_alike(monkeypatch):
     ("reasons", "voters"),
     [
         (("CAPACITY", "HALTED", "MAX_STEPS"), [1]),
+        (("HALTED", "REPEATED", "HALTED"), [0, 2]),
         (("CAPACITY", "CAPACITY", "MAX_STEPS"), [0, 1, 2]),
     ],
 )
