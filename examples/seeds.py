@@ -46,7 +46,7 @@ def trained(run: Run, seeds: Sequence[int]) -> Iterator[tuple[TrainState, dict[s
     one_training = make_train_call(config, run.model).__wrapped__  # compiled with the others
     side_by_side = jax.vmap(one_training, in_axes=(0, 0, None))
     call = jax.jit(side_by_side, donate_argnums=0, compiler_options=quick_options())
-    for number in range(-(-config.steps // config.steps_per_call)):
+    for number in range(config.steps // config.steps_per_call):
         bucket = bucket_of_call(config, shares, number)
         states, metrics = call(states, keys, stacks[bucket])
         yield states, metrics

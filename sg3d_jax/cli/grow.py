@@ -319,9 +319,9 @@ def _what_was_grown(completion: Any, place: dict[str, int]) -> str:
 
 def _warn_if_incomplete(completion: Any, place: dict[str, int]) -> None:
     """Prints that a graph did not come to its end, if it did not."""
-    from sg3d_jax.infer.complete import INCOMPLETE
+    from sg3d_jax.infer.complete import ENDED
 
-    if completion.halt_reason in INCOMPLETE:
+    if completion.halt_reason not in ENDED:
         print(
             f"sg3d: warning: scene {place['scene']} sample {place['sample']} stopped by "
             f"{completion.halt_reason}, so its graph is incomplete",

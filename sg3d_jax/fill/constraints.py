@@ -127,6 +127,12 @@ def upwards(graph: SceneGraph) -> Bool[Array, " E"]:
     return part_of & may[label[graph.senders], label[graph.receivers]]
 
 
+def num_parts(graph: SceneGraph) -> Int[Array, " N"]:
+    """Returns of how many parts each node is the whole."""
+    none = jnp.zeros(graph.nodes.label.shape, jnp.int32)
+    return none.at[graph.receivers].add(upwards(graph))
+
+
 def is_loose(graph: SceneGraph, taken: Bool[Array, "C N"]) -> Bool[Array, " N"]:
     """Returns which grown nodes lack a whole that is due; what holds all there is is one, too.
 
@@ -145,8 +151,8 @@ def _lacks_parts(graph: SceneGraph, layers: tuple[str, ...]) -> Bool[Array, " N"
     waits = (order_of(ontology, layers).least < least) & ontology.may_be_part.any(axis=0)
     if not waits.any():
         return jnp.zeros(label.shape, bool)
-    parts = jnp.zeros(label.shape, jnp.int32).at[graph.receivers].add(upwards(graph))
-    return graph.nodes.mask & jnp.asarray(waits)[label] & (parts < jnp.asarray(least)[label])
+    too_few = num_parts(graph) < jnp.asarray(least)[label]
+    return graph.nodes.mask & jnp.asarray(waits)[label] & too_few
 
 
 def is_whole(graph: SceneGraph, layers: tuple[str, ...] = ()) -> Bool[Array, ""]:

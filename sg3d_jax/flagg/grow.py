@@ -14,7 +14,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Int, Key
 
 from sg3d_jax.diffusion.threefry import unrolled
-from sg3d_jax.fill.constraints import upwards
+from sg3d_jax.fill.constraints import num_parts, upwards
 from sg3d_jax.flagg.compiled import Compiled
 from sg3d_jax.flagg.step import Flagg, Params
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
@@ -120,9 +120,8 @@ def num_twins(graph: PackedGraph) -> Int[Array, ""]:
     """
     nodes, is_part = graph.nodes, upwards(graph)
     last = jnp.sum(nodes.mask) - 1
-    none = jnp.zeros(nodes.label.shape, jnp.int32)
+    none, size = jnp.zeros(nodes.label.shape, jnp.int32), num_parts(graph)
     parts = none.at[graph.senders].max(is_part & (graph.receivers == last))
-    size = none.at[graph.receivers].add(is_part)
     shared = none.at[graph.receivers].add(is_part * parts[graph.senders])
     alike = nodes.mask & (nodes.label == nodes.label[last])
     alike &= (size == size[last]) & (shared == size[last]) & (size > 0)

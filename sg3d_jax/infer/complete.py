@@ -18,8 +18,7 @@ from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
 CANDIDATES: Final = 8  # at most, of one sample a scene
 ROUND: Final = 2  # candidates that are drawn before it is asked whether they suffice
-# Halt reasons of graphs that did not come to their end.
-INCOMPLETE = ("CAPACITY", "MAX_STEPS", "REPEATED")
+ENDED = ("HALTED", "ONE_SHOT")  # halt reasons of graphs that came to their end
 
 
 class Completion(NamedTuple):
@@ -227,7 +226,7 @@ def _drawn(scene: Scene, samples: int, candidates: int) -> Course[list[list[_Dra
 
 def _has_ended(drawn: _Drawn) -> bool:
     """Returns whether a graph came to its end; one that did not repeats itself, and has no vote."""
-    return HALT_REASONS[drawn.halt_reason] not in INCOMPLETE
+    return HALT_REASONS[drawn.halt_reason] in ENDED
 
 
 def _graphs(drawn: Sequence[_Drawn]) -> list[SceneGraph]:

@@ -51,13 +51,17 @@ class TensorBoard(NamedTuple):
         for name, value in values.items():
             self.summary.add_scalar(f"{kind}/{name}", value, step)
 
+    def close(self) -> None:
+        """Ends it and its thread; log.jsonl has all that it has, so a full disk is no error."""
+        with contextlib.suppress(OSError):
+            self.summary.close()
+
 
 @contextlib.contextmanager
 def writers(directory: Path, step: int) -> Generator[list[Writer]]:
     """Opens the writers of a run directory: log.jsonl always, TensorBoard if at hand.
 
-    TensorBoard's ends with the block, and its thread with it; log.jsonl has all that it has, so a
-    full disk there is no error of its own.
+    They end with the block.
 
     Args:
       directory: of the run.
@@ -66,17 +70,14 @@ def writers(directory: Path, step: int) -> Generator[list[Writer]]:
     path = directory / "log.jsonl"
     trim(path, step)
     chosen: list[Writer] = [JsonLines(path, time.time())]
-    try:
-        tensorboard = importlib.import_module("tensorboardX")
-    except ImportError:
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError):
+            tensorboard = importlib.import_module("tensorboardX")
+            folder = str(directory / "tensorboard")
+            board = TensorBoard(tensorboard.SummaryWriter(folder, purge_step=step + 1))
+            stack.callback(board.close)
+            chosen.append(board)
         yield chosen
-        return
-    summary = tensorboard.SummaryWriter(str(directory / "tensorboard"), purge_step=step + 1)
-    try:
-        yield [*chosen, TensorBoard(summary)]
-    finally:
-        with contextlib.suppress(OSError):
-            summary.close()
 
 
 def trim(path: Path, step: int) -> None:

@@ -79,23 +79,39 @@ def test_tensorboard_is_written_if_it_is_installed_and_its_thread_ends(tmp_path)
 
 
 def test_a_disk_that_is_full_for_tensorboard_is_no_error_of_its_own(tmp_path, monkeypatch):
+    seen = []
+
     class SummaryWriter:
         def __init__(self, directory, purge_step):
+            self.directory = directory
             assert purge_step == 3  # what was recorded of step 3 is made again
+
+        def add_scalar(self, name, value, step):
+            seen.append((self.directory, name, value, step))
 
         def close(self):
             raise OSError("No space left on device")
 
     module = types.SimpleNamespace(SummaryWriter=SummaryWriter)
     monkeypatch.setitem(sys.modules, "tensorboardX", module)
-    with pytest.raises(FloatingPointError), writers(tmp_path, 2):
+
+    def diverge(chosen):
+        for write in chosen:
+            write("train", 3, {"loss": 1.5})
         raise FloatingPointError  # is what the run says, and not the disk
+
+    with pytest.raises(FloatingPointError), writers(tmp_path, 2) as chosen:
+        diverge(chosen)
+    assert seen == [(str(tmp_path / "tensorboard"), "train/loss", 1.5, 3)]
 
 
 def test_without_tensorboard_there_are_json_lines_only(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX", None)
     with writers(tmp_path, 2) as chosen:
         assert [type(writer) for writer in chosen] == [JsonLines]
+    with pytest.raises(FloatingPointError) as caught, writers(tmp_path, 2):
+        raise FloatingPointError
+    assert caught.value.__context__ is None  # that it is not installed is no part of the story
 
 
 def test_off_a_terminal_every_advance_is_one_plain_line_on_stderr(capsys):
