@@ -265,7 +265,9 @@ def repaired_rooms(rooms: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _polygons(rooms: Sequence[np.ndarray]) -> np.ndarray:
-    return shapely.polygons([shapely.linearrings(corners) for corners in rooms])
+    # GEOS 3.14 simplifies a triangle with a corner at 1e-323 for ever.
+    snapped = [np.where(np.abs(each) < NEGLIGIBLE_LENGTH, 0, each) for each in rooms]
+    return shapely.polygons([shapely.linearrings(corners) for corners in snapped])
 
 
 def _repaired(drawn: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Room polygons become planes, walls and rooms: checked against other ways to count them."""
 
+import faulthandler
 import gzip
 import json
 from pathlib import Path
@@ -336,6 +337,16 @@ REFUSED = {
 def test_rooms_that_nobody_could_tell_are_refused(sentence):
     with pytest.raises(ValueError, match=sentence):
         storey_of_rooms(REFUSED[sentence])
+
+
+def test_a_corner_next_to_nothing_beside_an_axis_is_on_it():
+    triangle = np.array([[0, 0], [1e-323, 3], [4, 0]])
+    faulthandler.dump_traceback_later(60, exit=True)  # GEOS went on for ever
+    try:
+        shapes = tidy_rooms([triangle, box(4.2, 0, 7, 3)], CONFIG)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+    assert shapely.get_coordinates(shapes[0]).tolist() == [[0, 0], [0, 3], [4, 0], [0, 0]]
 
 
 def test_a_plan_without_faults_stays_as_it_is_drawn():

@@ -1,6 +1,7 @@
 """Files are changed and read: each is refused in one sentence, or is what it ought to be."""
 
 import contextlib
+import faulthandler
 import resource
 import signal
 import traceback
@@ -90,25 +91,28 @@ def _outcome(kind: Kind, path: Path) -> str:
         sentence = str(error)
         if "\n" in sentence or not sentence.startswith(f"{path}"):
             return f"no sentence that names the file: {sentence}"
+        outcome = "refused"
     except BaseException:
         return "".join(traceback.format_exc().splitlines(keepends=True)[-9:])
     else:
-        return "accepted"
+        outcome = "accepted"
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-    return "refused" if after <= max(before, MEGABYTES) else f"{after} megabytes"
+    return outcome if after <= max(before, MEGABYTES) else f"{after} megabytes"
 
 
 @contextlib.contextmanager
 def _limited() -> Generator[None]:
-    """Ends what takes too long."""
+    """Ends what takes too long; what never comes back to Python ends the process and says where."""
 
     def stop(*_: object) -> None:
         raise HangError(f"more than {SECONDS} seconds")
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.alarm(SECONDS)
+    faulthandler.dump_traceback_later(3 * SECONDS, exit=True)
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
