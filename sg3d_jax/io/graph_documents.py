@@ -64,8 +64,8 @@ def read_cytoscape(document: Any, where: str) -> Read:
 
 def _data(elements: Any, key: str, fields: tuple[str, ...], where: str) -> Iterator[dict[str, Any]]:
     """Yields the attributes of nodes or edges."""
-    items = [field(item, "data", f"{where}.{key}") for item in field(elements, key, where)]
-    yield from objects({key: items}, key, fields, where)
+    told = objects({key: field(elements, key, where)}, key, ("data",), where)
+    yield from objects({key: [item["data"] for item in told]}, key, fields, where)
 
 
 def _own(node: Mapping[str, Any]) -> dict[str, Any]:

@@ -131,8 +131,8 @@ def _check(root: ElementTree.Element, where: str) -> None:
     """Refuses what networkx reads as if it were not there.
 
     Raises:
-      ValueError: there are several graphs, an id or an attribute is there twice, or a number is in
-        digits that only Python reads.
+      ValueError: there are several graphs, an id is missing, it or an attribute is there twice, or
+        a number is in digits that only Python reads.
     """
     elements = [(_tag(element), element) for element in root.iter()]
     graphs = sum(tag == "graph" for tag, _ in elements)
@@ -142,6 +142,8 @@ def _check(root: ElementTree.Element, where: str) -> None:
         _check_once([one.get("id") for tag, one in elements if tag == kind], f"{where}: {kind}")
     keys = {one.get("id"): one for tag, one in elements if tag == "key"}
     for tag, element in elements:
+        if tag == "node" and element.get("id") is None:
+            raise ValueError(f"{where}: a node has no id, expected one")
         here = f"{where}: {tag} {element.get('id')!r:.40}"
         data = [(keys.get(one.get("key"), one), one.text or "") for one in element.iterfind(DATA)]
         named = [name for key, _ in data if (name := key.get("attr.name")) is not None]

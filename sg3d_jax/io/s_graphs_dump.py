@@ -21,6 +21,7 @@ import numpy as np
 from sg3d_jax.io.attributes import Read
 from sg3d_jax.io.files import read_bytes, read_text
 from sg3d_jax.io.s_graphs import AXES, middle_and_width, read_messages, xyz
+from sg3d_jax.scene.validate import MAX_COORDINATE
 
 GRAPH: Final = "graph.g2o"
 CLOUD: Final = "cloud_seg_map.pcd"
@@ -170,6 +171,9 @@ def _ends(
     for name, (_, values, where) in coefficients.items():
         cloud = _cloud(Path(where).with_name(CLOUD))
         points = cloud if len(cloud) else np.array(corners.get(name, np.zeros((0, 3))))
+        if not (np.abs(points) <= MAX_COORDINATE).all():  # false for nan
+            expected = f"points within {MAX_COORDINATE:g} m"
+            raise ValueError(f"{where}: a point of the plane is far away, expected {expected}")
         if len(points):
             centre, along, width = middle_and_width(points, np.array(values[:3]))
             if width > 0:
@@ -212,7 +216,8 @@ def _cloud(path: Path) -> np.ndarray:
         ]
         (number,), (kind,) = map(int, header["POINTS"]), header["DATA"]
         if kind == "ascii":
-            rows = np.loadtxt(data[end:].decode("latin-1").splitlines(), ndmin=2, max_rows=number)
+            told = [line for line in data[end:].decode("latin-1").splitlines() if line.strip()]
+            rows = np.loadtxt(told[:number], ndmin=2, comments=None)
             points = rows[:, [header["FIELDS"].index(axis) for axis in "xyz"]]
         elif kind == "binary":
             table: Any = np.frombuffer(data, np.dtype(form), number, end)

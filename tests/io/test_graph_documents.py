@@ -103,7 +103,8 @@ def test_directed_edges_of_both_directions_are_one_and_of_two_meanings_none():
         ({"nodes": [ROOM], "adjacency": [[3]]}, r"adjacency\[0\] is 3, expected an object"),
         ({"nodes": [7], "adjacency": [[]]}, r"nodes\[0\] is 7, expected an object with id"),
         ({"elements": []}, r"elements is \[\], expected an object with 'nodes'"),
-        ({"elements": {"nodes": [{}]}}, "lacks 'data', expected an object with it"),
+        ({"elements": {"nodes": 7}}, "elements: there is no list 'nodes', expected"),
+        ({"elements": {"nodes": [{}]}}, r"nodes\[0\] is {}, expected an object with data"),
         ({"elements": {"nodes": [{"data": {}}]}}, r"nodes\[0\] is {}, expected an object with id"),
         ({"nodes": [], "links": [{"source": 1}]}, "expected an object with source and target"),
         (

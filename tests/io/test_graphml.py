@@ -116,6 +116,7 @@ def written(tmp_path_factory):
         (b'attr.name="normal_y"', b'attr.name="n"', "node '0' lacks 'normal_y', expected"),
         (b'attr.name="width"', b'attr.name="breadth"', "node '0' lacks 'width', expected"),
         (b'<node id="1"', b'<node id="0"', "node '0' twice, expected once"),
+        (b'<node id="0"', b"<node", "a node has no id, expected one"),
         (
             b"<graph ",
             b'<key id="d9" attr.name="a" attr.type="int"/>' * 2 + b"<graph ",

@@ -26,7 +26,7 @@ def pcd(points, kind="binary"):
     fields = "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
     header = f"# .PCD v0.7\nVERSION 0.7\n{fields}WIDTH 0\nPOINTS {len(points)}\nDATA {kind}\n"
     if kind == "ascii":
-        return (header + "".join(f"{x} {y} {z} 0\n" for x, y, z in points)).encode()
+        return (header + "\n".join(f"{x} {y} {z} 0\n" for x, y, z in points)).encode()
     return header.encode() + b"".join(struct.pack("<fffI", *point, 7) for point in points)
 
 
@@ -129,6 +129,11 @@ def test_vertices_and_edges_alone_give_planes_and_rooms(tmp_path):
             "DATA binary_compressed.*expected a PCD file of points",
         ),
         ("000004/x_planes/cloud_seg_map.pcd", pcd(CLOUD)[:-9], "cannot be read"),
+        (
+            "000001/x_planes/x_plane_data",
+            "id 4 plane_node_pose -1 0 0 1e308",
+            "x_plane_data: a point of the plane is far away, expected points within 1e",
+        ),
     ],
 )
 def test_a_broken_map_is_refused_in_one_sentence(name, content, sentence, tmp_path):
