@@ -3,6 +3,7 @@
     python benchmarks/replay.py midi-general --data s-f p-f.npz s-b p-c.npz --scenes 10
     python benchmarks/replay.py midi-general --data s-f --how loop
     python benchmarks/replay.py midi-general --data s-c --scenes 1 --updates 10000
+    python benchmarks/replay.py midi-general --data s-c --scenes 1 --planes 600 -o large_map.json
 
 Test scenes are driven through (`data.replay`), and every step is an update of a session. Told are
 FGW at the end, and once the map has been thought over four times, against that of completing the
@@ -10,9 +11,11 @@ same planes all at once with the same weights and steps, drawn once and as `sg3d
 on the way; of the rooms of whose planes an update says nothing, the share that keep id,
 planes and centroid to the last bit; how often the id of a true room changes, which is that of the
 grown room with the most of its planes, at least half; the median time of an update, by the number
-of planes; what is compiled once all is warmed up; and, with --updates, memory while one plane after
-the other moves. Writes benchmarks/results/replay_HOW.json, its curves as replay_HOW.png, and eight
-pictures of the longest replay of the first data set as replay_HOW_film.png.
+of planes; what is compiled once all is warmed up; with --updates, memory while one plane after
+the other moves; and, with --planes, the median time of an update of a map of so many, where other
+scenes of the set stand beside the first one, which is driven through. Writes
+benchmarks/results/replay_HOW.json, its curves as replay_HOW.png, and eight pictures of the longest
+replay of the first data set as replay_HOW_film.png.
 """
 
 import argparse
@@ -47,6 +50,7 @@ PICTURES: Final = 8
 PIECES: Final = 2  # of a plane, for which is warmed up
 THOUGHTS: Final = 4  # when the robot is done
 MOVE: Final = 0.05  # metres, standard deviation
+APART: Final = 100.0  # metres, from a scene to the next
 
 
 class Update(NamedTuple):
@@ -238,6 +242,30 @@ def memory(trained: Trained, last: Update, updates: int) -> list[float]:
     return held
 
 
+def among_others(trained: Trained, graphs: Sequence[SceneGraph], planes: int) -> dict[str, float]:
+    """Drives through the first scene, while others stand beside it until there are so many planes.
+
+    Returns:
+      The number of planes at the end, and the median milliseconds of an update, of wall and of CPU.
+    """
+    model, steps = grows(trained), replay(graphs[0], REPLAYS["drive"], 0, 0)
+    session, count, times = begin(model.ontology), len(steps[-1].ids), []
+    for number, graph in enumerate(graphs[1:], 1):
+        if count >= planes:
+            break
+        seen = observed_of(graph)
+        seen.nodes.position[:, 0] += number * APART
+        ids = tuple(f"{number}/{row}" for row in range(len(seen.nodes.label)))
+        session, _ = update(model, trained.params, session, Changes(observed=seen, ids=ids))
+        count += len(ids)
+    for step in steps:
+        began = time.perf_counter(), time.process_time()
+        session, _ = update(model, trained.params, session, step.changes)
+        times.append((time.perf_counter() - began[0], time.process_time() - began[1]))
+    wall, cpu = (1e3 * np.median(times, axis=0)).round(1).tolist()
+    return {"planes": count, "updates": len(times), "milliseconds": wall, "cpu_milliseconds": cpu}
+
+
 def draw_curves(rows: Mapping[str, Any], path: Path) -> None:
     """Plots FGW on the way, and that of completing all at once at the end."""
     from matplotlib.figure import Figure
@@ -279,6 +307,8 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=10)
     parser.add_argument("--diffusion-steps", type=int, default=8)
     parser.add_argument("--updates", type=int, default=0, help="for memory")
+    parser.add_argument("--planes", type=int, default=0, help="of a large map")
+    parser.add_argument("-o", "--output", help="name of the result file, in benchmarks/results")
     given = parser.parse_args()
     trained = with_diffusion_steps(load_weights(given.weights), given.diffusion_steps)
     counted, rows, film = Compilations(), {}, []
@@ -288,10 +318,13 @@ def main() -> None:
         film = film or longest
         if given.updates:
             rows[name]["mebibytes"] = memory(trained, longest[-1], given.updates)
+        if given.planes:
+            graphs = load_split(DataConfig(data), "test")
+            rows[name]["large_map"] = among_others(trained, graphs, given.planes)
         print(name, rows[name], flush=True)
     words = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
     about = {**provenance(), "command": " ".join(["python benchmarks/replay.py", *words])}
-    path = RESULTS / f"replay_{given.how}.json"
+    path = RESULTS / (given.output or f"replay_{given.how}.json")
     path.write_text(json.dumps({**about, "weights": given.weights, "rows": rows}, indent=2) + "\n")
     draw_curves(rows, path.with_suffix(".png"))
     draw_film(film, path.with_name(f"{path.stem}_film.png"))

@@ -32,7 +32,7 @@ class TrainState(NamedTuple):
 
     params: Params  # as they are trained
     average: Params  # exponential moving average of params
-    optimiser: Any  # the moments of AdamW
+    optimiser: Any  # the moments of AdamW, of all parameters as one vector
     step: Array  # int32[]
 
 
@@ -46,8 +46,6 @@ def make_optimiser(
 ) -> optax.GradientTransformation:
     """Builds AdamW with warm-up, cosine decay to zero over the run, and clipping by global norm.
 
-    It works on all parameters as one vector: a few programs to compile, not a few a parameter.
-
     Args:
       config: the run.
       rate: the learning rate; None for the warm-up and decay of the run.
@@ -57,11 +55,9 @@ def make_optimiser(
         rate = optax.warmup_cosine_decay_schedule(
             0.0, settings.learning_rate, settings.warmup_steps, config.steps
         )
-    return optax.flatten(
-        optax.chain(
-            optax.clip_by_global_norm(settings.clip_norm),
-            optax.adamw(rate, weight_decay=settings.weight_decay),
-        )
+    return optax.chain(
+        optax.clip_by_global_norm(settings.clip_norm),
+        optax.adamw(rate, weight_decay=settings.weight_decay),
     )
 
 
@@ -73,7 +69,7 @@ def init_state(
 ) -> TrainState:
     """Draws the initial state from the run's seed; `graph` is any padded graph."""
     params = _params(model, root_key(config.seed), graph)
-    moments = (optimiser or make_optimiser(config)).init(params)
+    moments = (optimiser or make_optimiser(config)).init(ravel_pytree(params)[0])
     average = jax.tree.map(jnp.copy, params)  # not the same memory: a call takes that of both
     return TrainState(params, average, moments, jnp.zeros((), jnp.int32))
 
@@ -114,7 +110,7 @@ def make_train_call(
     Args:
       config: the run.
       model: what is trained.
-      optimiser: None for that of the run (`make_optimiser`).
+      optimiser: of all parameters as one vector; None for that of the run (`make_optimiser`).
 
     Returns:
       A jitted `TrainCall`, (state, key, graphs) -> (state, metrics), over the devices of `mesh_of`;
@@ -154,27 +150,34 @@ def make_train_call(
         check_vma=False,  # a gradient is that of a device's own batches
     )
 
-    def train_step(state: TrainState, key: Key[Array, ""], graphs: SceneGraph) -> Any:
+    def train_step(
+        state: TrainState, key: Key[Array, ""], graphs: SceneGraph, unravel: Callable[..., Params]
+    ) -> Any:
         key_index, key_loss = jax.random.split(jax.random.fold_in(unrolled(key), state.step))
         shape = config.accumulate, batch_of(config, graphs)
         indices = jax.random.randint(key_index, shape, 0, graphs.n_node.shape[0])
         keys = jax.random.split(key_loss, shape)
-        vector, terms = spread(state.params, keys, indices, graphs)
-        gradient = ravel_pytree(state.params)[1](vector)
+        gradient, terms = spread(unravel(state.params), keys, indices, graphs)
         updates, optimiser_state = chosen.update(gradient, state.optimiser, state.params)
         params = optax.apply_updates(state.params, updates)
         decay = jnp.minimum(config.optimiser.ema_decay, (1 + state.step) / (10 + state.step))
         average = optax.incremental_update(params, state.average, 1 - decay)
-        metrics = {**terms, "gradient_norm": jnp.linalg.norm(vector)}
+        metrics = {**terms, "gradient_norm": jnp.linalg.norm(gradient)}
         return TrainState(params, average, optimiser_state, state.step + 1), metrics
 
     def train_call(
         state: TrainState, key: Key[Array, ""], graphs: SceneGraph
     ) -> tuple[TrainState, Metrics]:
-        def body(state: TrainState, _: None) -> tuple[TrainState, Metrics]:
-            return train_step(state, key, graphs)
+        # As one vector each: a few programs to compile, not a few a parameter.
+        params, unravel = ravel_pytree(state.params)
+        average, _ = ravel_pytree(state.average)
 
+        def body(state: TrainState, _: None) -> tuple[TrainState, Metrics]:
+            return train_step(state, key, graphs, unravel)
+
+        state = state._replace(params=params, average=average)
         state, metrics = jax.lax.scan(body, state, None, length=config.steps_per_call)
+        state = state._replace(params=unravel(state.params), average=unravel(state.average))
         return state, jax.tree.map(jnp.mean, metrics)
 
     everywhere = NamedSharding(mesh, alike)
