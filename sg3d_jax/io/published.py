@@ -15,6 +15,7 @@ Differs: nodes are put in the order planes, walls, rooms, floors, buildings, cit
 
 import math
 import struct
+import sys
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -25,14 +26,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.io.files import read_bytes
+from sg3d_jax.io.files import MAX_GRAPHS, read_bytes
 from sg3d_jax.io.networkx import read_nodes_and_edges
-from sg3d_jax.io.pickles import Asked, Name, read_pickle
+from sg3d_jax.io.pickles import MAX_MEMORY, Asked, Name, read_pickle
 from sg3d_jax.scene.graph import SceneGraph, subgraph
 
 EXPECTED: Final = "a pickled list of networkx graphs"
 SUFFIXES: Final = (".pkl", ".pickle", ".p", ".gpickle")
-MAX_BYTES: Final = 2**29  # of the pickle; the largest published one has about 300 million
+# Of the pickle; the largest published one has about 300 million. Unpacking takes four times that.
+MAX_BYTES: Final = 3 * 2**27
 FIELDS: Final = ("type", "center", "normal", "length", "limits")
 
 _GRAPH: Final = Name("networkx.classes.graph", "Graph")
@@ -73,23 +75,29 @@ _LETTERS: Final[Mapping[str, str]] = MappingProxyType(
 _ORDERS: Final[Mapping[str, str]] = MappingProxyType({"<": "<", ">": ">", "|": "<"})
 _OTHER_ZIP_ERRORS: Final = (EOFError, OSError, ValueError, RuntimeError)
 MAX_ITEMS: Final = 64  # of an array that is read; two points have six
+MAX_SIZE: Final = 200_000  # nodes and ends of edges of a graph
+BYTES_OF_AN_ARRAY: Final = 192  # beside its items
 _KEPT: Final = ("_node", "_adj")
+NO_GRAPH: Final = f": there are no {' and '.join(_KEPT)}, expected a networkx graph"
 
 
-def read_published(path: str | Path) -> list[SceneGraph]:
+def read_published(path: str | Path, most: int = MAX_MEMORY) -> list[SceneGraph]:
     """Returns the host graphs of a published file, with the proximity edges that it has.
 
     Args:
       path: a zip that holds one pickle, or the pickle.
+      most: bytes that the pickle and what is kept of it may take.
 
     Raises:
       ValueError: one sentence that names the file and what it asks for or holds: a pickle that
         would run something, another file, a graph, node or edge that breaks the data model.
     """
     pickled = _pickle_of(path)
-    graphs = read_pickle(pickled, ADMITTED, f"{path}", EXPECTED)
+    graphs = read_pickle(pickled, ADMITTED, f"{path}", EXPECTED, most, _made)
     if not isinstance(graphs, list) or not graphs:
         raise ValueError(f"{path}: the pickle holds no list or an empty one, expected {EXPECTED}")
+    if len(graphs) > MAX_GRAPHS:
+        raise ValueError(f"{path}: there are {len(graphs)} graphs, expected {MAX_GRAPHS} at most")
     return [_scene(graph, f"{path}: graph {index}") for index, graph in enumerate(graphs)]
 
 
@@ -140,11 +148,38 @@ def _zip_problem(members: list[zipfile.ZipInfo]) -> str | None:
 
 
 def _scene(graph: Any, where: str) -> SceneGraph:
-    """Returns the host graph that a pickled networkx graph describes."""
-    state = graph.state if isinstance(graph, Asked) and graph.name == _GRAPH else None
+    """Returns what was made of a networkx graph, or refuses it."""
+    made = graph.state if isinstance(graph, Asked) and graph.name == _GRAPH else None
+    if isinstance(made, SceneGraph):
+        return made
+    raise ValueError(f"{where}{made or NO_GRAPH}")
+
+
+def _made(asked: Asked) -> tuple[Any, int]:
+    """Returns the host graph that a networkx graph describes, or what is wrong with it, and bytes.
+
+    What is wrong is the rest of a sentence: which graph of the list it is, is not yet known.
+    """
+    if asked.name != _GRAPH:
+        return asked.state, 0
+    try:
+        scene = _read(asked.state, "")
+    except ValueError as error:
+        return f"{error}", sys.getsizeof(f"{error}") + BYTES_OF_AN_ARRAY
+    ends = scene.senders, scene.receivers, scene.n_node, scene.n_edge
+    arrays = (*scene.nodes, *scene.edges, *ends)
+    return scene, sum(array.nbytes + BYTES_OF_AN_ARRAY for array in arrays)
+
+
+def _read(state: Any, where: str) -> SceneGraph:
+    """Returns the host graph that the state of a networkx graph describes."""
     nodes, adjacency = (state.get(key) if isinstance(state, dict) else None for key in _KEPT)
     if not isinstance(nodes, dict) or not isinstance(adjacency, dict):
-        raise ValueError(f"{where}: there are no {' and '.join(_KEPT)}, expected a networkx graph")
+        raise ValueError(f"{where}{NO_GRAPH}")
+    size = len(nodes) + sum(len(each) for each in adjacency.values() if isinstance(each, dict))
+    if size > MAX_SIZE:
+        problem = f"there are {size} nodes and ends of edges"
+        raise ValueError(f"{where}: {problem}, expected {MAX_SIZE} at most")
     read = read_nodes_and_edges(_nodes(nodes, where), _edges(adjacency, where), where).graph
     return subgraph(read, np.argsort(read.nodes.label, kind="stable"))
 

@@ -1,5 +1,6 @@
 """Published files are read exactly, and whatever else a pickle asks for is refused unread."""
 
+import gc
 import pickle
 import struct
 import zipfile
@@ -11,6 +12,7 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import registry
+from sg3d_jax.io import published as module
 from sg3d_jax.io.published import read_published
 from sg3d_jax.scene.graph import features_of, make_graph, undirected_edges
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PART_OF, PLANE, PROXIMITY
@@ -133,6 +135,46 @@ def test_arrays_are_read_whatever_their_layout(graphs, path):
     (read,) = read_published(path)
     npt.assert_array_equal(read.nodes.position, graphs[0].nodes.position)
     npt.assert_allclose(read.nodes.width, 1.5 * graphs[0].nodes.width, rtol=1e-12)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_what_graphs_share_is_in_each_of_them(graphs, protocol, path):
+    first, second, third = (published(graphs[0], seed) for seed in range(3))
+    for key, attributes in first.nodes.items():
+        second.nodes[key]["center"] = attributes["center"]
+        third._node[key] = attributes
+    third.graph["others"] = [first, second]
+    shared = [first, second, second, third, first]
+    path.write_bytes(pickle.dumps(shared, protocol))
+    read = read_published(path)
+    assert len(read) == 5
+    for graph in read:
+        assert_same_graph(graph, graphs[0])
+
+
+def test_one_graph_at_a_time_is_kept(graphs, path, monkeypatch):
+    monkeypatch.setattr(gc, "collect", lambda: 0)  # takes long with all that tests have imported
+    path.write_bytes(pickle.dumps([published(graphs[0], seed) for seed in range(20)]))
+    size = path.stat().st_size
+    for read in read_published(path, most=size + 400_000):
+        assert_same_graph(read, graphs[0])
+    path.write_bytes(pickle.dumps([[published(graphs[0], seed) for seed in range(20)]]))
+    assert refusal(path).startswith("graph 0: there are no")
+    with pytest.raises(ValueError, match="describes more than fits into memory"):
+        read_published(path, most=size + 100_000)
+
+
+def test_a_graph_or_a_list_too_large_is_refused(graphs, path, monkeypatch):
+    path.write_bytes(pickle.dumps([published(graphs[0])] * 3))
+    monkeypatch.setattr(module, "MAX_GRAPHS", 2)
+    assert refusal(path) == "there are 3 graphs, expected 2 at most"
+    monkeypatch.undo()
+    size = len(graphs[0].nodes.label) + len(graphs[0].senders)
+    monkeypatch.setattr(module, "MAX_SIZE", size)
+    assert len(read_published(path)) == 3
+    monkeypatch.setattr(module, "MAX_SIZE", size - 1)
+    expected = f"graph 0: there are {size} nodes and ends of edges, expected {size - 1} at most"
+    assert refusal(path) == expected
 
 
 def zipped(path, members, **options):
@@ -382,6 +424,17 @@ def test_a_broken_node_is_refused_in_one_sentence(graphs, kind, change, sentence
     found = refusal(path)
     assert found.startswith("graph 1: ")
     assert sentence in found
+
+
+def test_what_is_wrong_with_the_pickle_is_told_before_what_is_wrong_with_a_graph(graphs, path):
+    good, bad = published(graphs[0]), changed(graphs[0], "ws", type="attic")
+    pickled = pickle.dumps([good, good, bad, bad, good])
+    path.write_bytes(pickled)
+    assert refusal(path).startswith("graph 2: node ")
+    path.write_bytes(pickled[:-1])
+    assert refusal(path).startswith("the file is cut short")
+    path.write_bytes(pickle.dumps([good, [bad], good])[:-1] + b"0N.")
+    assert refusal(path).startswith("the pickle holds no list")
 
 
 def test_a_deeply_nested_value_is_refused(graphs, path):
