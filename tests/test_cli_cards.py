@@ -24,7 +24,7 @@ def _workplace(tmp_path, monkeypatch):
 
 
 def with_card(folder, card):
-    path = untrained_weights(folder)
+    path = untrained_weights(folder, "ec-square")
     trained = load_weights(path)
     return str(save_weights(path, trained.config, trained.statistics, trained.params, card))
 

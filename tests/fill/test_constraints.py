@@ -1,3 +1,4 @@
+import functools
 import itertools
 import operator
 
@@ -36,6 +37,7 @@ pytestmark = pytest.mark.slow
 SCENE = two_rooms()
 NODES = {"planes": NUM_PLANES, "wall": 9, "one room": 10, "two rooms": 11, "all": 12}
 CONCEPTS = range(PAPER_ONTOLOGY.num_concepts)
+NUM_DRAWS = 20_000  # of one node
 TOP_DOWN = ("city", "building", "floor", "room", "wall")
 # Two kinds are observed, and a club holds any number of parts, at least two.
 TOWN = Ontology(
@@ -153,20 +155,25 @@ def test_what_is_forbidden__has_probability_zero_and_all_else_that_of_its_labels
     np.testing.assert_allclose(same[1][..., 1], free, rtol=1e-5)
 
 
-def drawn_often(rules, logits_label, log_odds, number=20_000):
-    """Counts (label, old nodes that are joined) of a block of one node."""
+@jax.jit
+def draw_often(rules, logits_label, log_odds):
+    """Draws a block of one node, often."""
     edge = jnp.stack([jnp.zeros_like(log_odds), log_odds], axis=-1)[None]
     edge = jnp.concatenate([jnp.zeros((1, 1, 2)), edge], axis=1)
-    keys = jax.random.split(jax.random.key(0), number)
-    one = jnp.ones(1, bool)
-    draw = jax.jit(jax.vmap(lambda key: draw_valid(key, rules, logits_label[None], edge, one)))
-    label, edges, mask = jax.tree.map(np.asarray, draw(keys))
+    keys, one = jax.random.split(jax.random.key(0), NUM_DRAWS), jnp.ones(1, bool)
+    return jax.vmap(lambda key: draw_valid(key, rules, logits_label[None], edge, one))(keys)
+
+
+def drawn_often(rules, logits_label, log_odds):
+    """Counts (label, old nodes that are joined) of a block of one node."""
+    drawn = draw_often(rules, logits_label, log_odds)
+    label, edges, mask = jax.tree.map(np.asarray, drawn)
     assert mask.all()
     assert not edges[:, 0, 0].any()
     found: dict = {}
     for kind, row in zip(label[:, 0].tolist(), edges[:, 0, 1:], strict=True):
         name = kind, *np.flatnonzero(row).tolist()
-        found[name] = found.get(name, 0) + 1 / number
+        found[name] = found.get(name, 0) + 1 / NUM_DRAWS
     return found
 
 
@@ -214,7 +221,7 @@ def test_what_has_too_few_parts__takes_those_of_the_best_odds():
     graph = on_device(made([PLANE] * 5, []))
     logits = jnp.full(6, NEVER).at[WALL].set(0.0)
     log_odds = jnp.asarray([-60.0, -20.0, -60.0, -25.0, -60.0, *[NEVER] * 11])
-    found = drawn_often(rules_of(graph, 1), logits, log_odds, 100)
+    found = drawn_often(rules_of(graph, 1), logits, log_odds)
     assert found == {(WALL, 1, 3): pytest.approx(1.0)}
 
 
@@ -232,6 +239,13 @@ STARTS = {
 }
 
 
+@functools.partial(jax.jit, static_argnames="num_block")
+@functools.partial(jax.vmap, in_axes=(0, None, None))
+def grow(key, graph, num_block):
+    label, edges, mask = random_draw(key, rules_of(graph, num_block), num_block)
+    return append_block(graph, Block(label, jnp.zeros((num_block, 3)), edges, mask))
+
+
 @pytest.mark.parametrize("num_block", [1, 4])
 @pytest.mark.parametrize("start", STARTS)
 def test_whatever_is_predicted__a_block_obeys_the_rules(start, num_block):
@@ -240,15 +254,7 @@ def test_whatever_is_predicted__a_block_obeys_the_rules(start, num_block):
     ontology = graph.globals
     wholes = dict(ontology.single_wholes)
 
-    @jax.jit
-    @jax.vmap
-    def grow(key):
-        rules = rules_of(graph, num_block)
-        label, edges, mask = random_draw(key, rules, num_block)
-        block = Block(label, jnp.zeros((num_block, 3)), edges, mask)
-        return append_block(graph, block)
-
-    grown, fits = grow(jax.random.split(jax.random.key(1), 40))
+    grown, fits = grow(jax.random.split(jax.random.key(1), 40), graph, num_block)
     before, counts = int(graph.n_node[0]), set()
     grown = jax.tree.map(np.asarray, grown)
     for number in range(40):

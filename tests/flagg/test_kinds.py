@@ -21,7 +21,7 @@ GRAPH = on_device(furnished_rooms())
 
 @pytest.fixture(scope="module")
 def logits():
-    return KINDS.logits(random_params(KINDS.init, GRAPH), GRAPH)
+    return jax.jit(KINDS.logits)(random_params(KINDS.init, GRAPH), GRAPH)
 
 
 def test_each_concept_has_as_many_logits_as_kinds(logits):
