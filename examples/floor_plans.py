@@ -11,8 +11,9 @@ IFC needs `pip install ifcopenshell`. Spaces are taken as they are drawn, in met
 IfcSpace has no rooms to read. RoomPlan is a CapturedRoom or CapturedStructure that was encoded as
 JSON: metres, y up, matrices column by column.
 
-Tried: on an IFC4 file that ifcopenshell 0.9 made (tests/test_floor_plans.py); RoomPlan and
-Matterport3D on small files of their form. Not tried: on a phone's own file, on a Matterport scan.
+Tried: on an IFC4 file that ifcopenshell 0.9 made (tests/test_floor_plans.py); on the house of
+Matterport3D in the source of spark_dsg 1.1.3; RoomPlan on a small file of its form, not on a
+phone's own.
 """
 
 import json
@@ -25,6 +26,39 @@ import numpy as np
 import shapely
 
 FLAT = 1e-6  # square metres: a triangle that stands upright has no more on the ground
+JUNK = "Z"  # a region of Matterport3D that is none, such as what a mirror shows
+REGIONS = {
+    "a": "bathroom",
+    "b": "bedroom",
+    "c": "closet",
+    "d": "dining room",
+    "e": "entryway",
+    "f": "family room",
+    "g": "garage",
+    "h": "hallway",
+    "i": "library",
+    "j": "laundry room",
+    "k": "kitchen",
+    "l": "living room",
+    "m": "meeting room",
+    "n": "lounge",
+    "o": "office",
+    "p": "porch",
+    "r": "recreation room",
+    "s": "stairs",
+    "t": "toilet",
+    "u": "utility room",
+    "v": "cinema",
+    "w": "gym",
+    "x": "outdoors",
+    "y": "balcony",
+    "z": "other room",
+    "B": "bar",
+    "C": "classroom",
+    "D": "dining booth",
+    "S": "spa",
+    "-": "",
+}
 
 
 def ifc_plans(path: Path) -> list[dict[str, Any]]:
@@ -67,7 +101,7 @@ def matterport_plans(path: Path) -> list[dict[str, Any]]:
     """Returns the levels of a Matterport3D .house file as floor plans: each region is a room.
 
     Source: the format's description, niessner/Matterport, data_organization.md: lines R (region,
-    level, ..., label), S (surface, region), V (vertex, surface, label, x, y, z).
+    level, ..., label), S (surface, region), V (vertex, surface, label, x, y, z); labels of regions.
     """
     lines = [line.split() for line in path.read_text().splitlines() if line.strip()]
     region_of = {cells[1]: cells[2] for cells in lines if cells[0] == "S"}
@@ -77,8 +111,9 @@ def matterport_plans(path: Path) -> list[dict[str, Any]]:
             corners[region_of[cells[2]]].append([float(cells[4]), float(cells[5])])
     levels = defaultdict(list)
     for cells in lines:
-        if cells[0] == "R" and len(corners[cells[1]]) > 2:
-            levels[int(cells[2])].append({"poly": corners[cells[1]], "name": cells[5]})
+        if cells[0] == "R" and len(corners[cells[1]]) > 2 and cells[5] != JUNK:
+            name = REGIONS.get(cells[5], cells[5])
+            levels[int(cells[2])].append({"poly": corners[cells[1]], "name": name})
     return [
         {"building": path.stem, "storey": level, "rooms": levels[level]} for level in sorted(levels)
     ]

@@ -96,6 +96,7 @@ def test_a_plan_has_the_names_of_a_file_and_what_differs_from_a_truth(monkeypatc
     named = [{**held, "name": "hall"} if row == 9 else held for row, held in enumerate(ATTRIBUTES)]
     write_graphs("a.json", [two_rooms()], attributes=[named])
     write_graphs("b.jsonl", [observed_of(two_rooms()), two_rooms()])
+    write_graphs("c.jsonl", [two_rooms()] * 2, attributes=[[{}] * 12, named])
     drawn = []
     monkeypatch.setattr("sg3d_jax.viz.plan.save_plan", lambda *said: drawn.append(said))
     run("view", "a.json", "-o", "a.png", "--plan")
@@ -104,6 +105,8 @@ def test_a_plan_has_the_names_of_a_file_and_what_differs_from_a_truth(monkeypatc
     monkeypatch.setattr("sg3d_jax.viz.page.save_page", lambda *_, **said: pages.append(said))
     run("view", "a.json", "-o", "a.html", "--truth", "b.jsonl")
     assert [len(graph.nodes.label) for graph in pages[0]["truth"]] == [8]
+    run("view", "b.jsonl", "-o", "b.html", "--index", 1, "--truth", "c.jsonl")
+    assert pages[1]["truth_names"] == [drawn[0][2]]
     (named, alone) = drawn
     assert named[2][8:] == [15, "hall", 17, "n11"]
     npt.assert_array_equal(named[3], NODES)

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from sg3d_jax.__main__ import Terminated
 from sg3d_jax.cli import progress as module
-from sg3d_jax.cli.progress import lines_to, progress, shown_data
+from sg3d_jax.cli.progress import lines_to, progress, rate_text, shown_data
 from sg3d_jax.data.watching import watched
 from tests.command_line import documents, run, write_lines
 
@@ -46,6 +46,11 @@ def test_a_terminal_shows_how_many_are_done_and_nothing_else_does(monkeypatch, c
     assert shown(monkeypatch, capsys, False) == ""
     assert shown(monkeypatch, capsys, True, quiet=True) == ""
     assert shown(monkeypatch, capsys, True, total=1) == ""
+
+
+@pytest.mark.parametrize(("speed", "said"), [(720.3, "720/s"), (0.0412, "0.041/s"), (None, "")])
+def test_a_rate_has_two_digits_that_count(speed, said):
+    assert rate_text(speed) == said
 
 
 def test_data_sets_that_are_made_or_imported_are_counted_unless_it_is_to_be_quiet(

@@ -24,21 +24,23 @@ def script():
 HOUSE = """ASCII 1.1
 R  0 0  0 0 k  0 0 0  0 0 0  4 3 2.5  2.5  0 0 0 0
 R  1 0  0 0 b  0 0 0  0 0 0  4 3 2.5  2.5  0 0 0 0
+R  2 0  0 0 Z  0 0 0  0 0 0  4 3 2.5  2.5  0 0 0 0
 S  0 0 0 -  0 0 0  0 0 1  0 0 0  4 3 0  0 0 0
 S  1 1 0 -  0 0 0  0 0 1  0 0 0  4 3 0  0 0 0
+S  2 2 0 -  0 0 0  0 0 1  0 0 0  4 3 0  0 0 0
 """
 
 
 def test_regions_of_matterport_are_rooms(script, tmp_path):
     corners = [
         f"V  {4 * s + i} {s} -  {x + 4.2 * s} {y} 0.1  0 0 1  0 0 0\n"
-        for s in (0, 1)
+        for s in (0, 1, 2)
         for i, (x, y) in enumerate([(0, 0), (4, 0), (4, 3), (0, 3)])
     ]
     (tmp_path / "abc.house").write_text(HOUSE + "".join(corners))
     script.main(tmp_path / "abc.house", tmp_path / "plan.jsonl")
     ((floor,), left_out) = read_floors(tmp_path / "plan.jsonl")
-    assert (floor.origin, floor.rooms, left_out) == ("abc storey 0", ("k", "b"), [])
+    assert (floor.origin, floor.rooms, left_out) == ("abc storey 0", ("kitchen", "bedroom"), [])
     assert len(floor.storey.wall_centre) == 1
 
 

@@ -104,3 +104,13 @@ def test_a_signal_during_an_import_that_would_swallow_it_ends_the_program(
     program = [sys.executable, "-m", "sg3d_jax", "--version"]
     done = subprocess.run(program, env=environment, capture_output=True, text=True, timeout=100)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", f"sg3d: {word}\n")
+
+
+@pytest.mark.parametrize("command", ["--version", "complete --help"])
+def test_a_pipe_that_nobody_reads_ends_it_quietly(command):
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "sg3d_jax", *command.split()]
+    with os.fdopen(writer, "w") as closed:
+        done = subprocess.run(words, cwd=ROOT, stdout=closed, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")

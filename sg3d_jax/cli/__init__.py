@@ -5,6 +5,7 @@ with SG3D_DEBUG=1 in the environment it is a traceback instead.
 """
 
 import os
+import signal
 import sys
 
 import tyro
@@ -32,13 +33,10 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     provenance.arguments.set(tuple(arguments))
     try:
-        match arguments:
-            case ["--version"]:
-                print(f"sg3d {sg3d_jax.__version__}")
-            case ["train", name, *overrides] if not name.startswith("-"):
-                train(name, tuple(overrides))
-            case _:
-                app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
+        _run(arguments)
+    except BrokenPipeError:  # nobody reads on; what is left would be tried again at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(128 + signal.SIGPIPE) from None
     except (ValueError, OverflowError, OSError, FloatingPointError, MemoryError) as error:
         if os.environ.get("SG3D_DEBUG"):
             raise
@@ -47,3 +45,17 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("sg3d: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
+
+
+def _run(arguments: list[str]) -> None:
+    """Runs a command, and hands on all that it says, also before it exits."""
+    try:
+        match arguments:
+            case ["--version"]:
+                print(f"sg3d {sg3d_jax.__version__}")
+            case ["train", name, *overrides] if not name.startswith("-"):
+                train(name, tuple(overrides))
+            case _:
+                app.cli(args=arguments or ["--help"], prog="sg3d", description=sg3d_jax.__doc__)
+    finally:
+        sys.stdout.flush()

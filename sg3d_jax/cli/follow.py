@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, nullcontext
@@ -78,7 +77,8 @@ def follow(
         for where, line in lines:
             state, changes = _followed(trained, *state, line, where)
             keep(line)
-            _answer(_whole(state[0]) if graphs else changes, file)
+            answer = _whole(state[0]) if graphs else changes
+            print(json.dumps(answer, allow_nan=False), file=file, flush=True)
 
 
 def _begun(trained: Any, seed: int, planes: int) -> tuple[Any, Any]:
@@ -114,16 +114,6 @@ def _whole(session: Any) -> Any:
 
     nodes = nodes_of(session).values()
     return map_to_dict(graph_of(session), ids_of(session), nodes, session.updates)
-
-
-def _answer(document: Any, file: Any) -> None:
-    """Writes a line at once; ends the command if nobody reads on."""
-    try:
-        print(json.dumps(document, allow_nan=False), file=file, flush=True)
-    except BrokenPipeError:
-        # What is left in the buffer would be tried again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), file.fileno())
-        raise SystemExit(128 + signal.SIGPIPE) from None
 
 
 def _opened(output: Path | None) -> Any:

@@ -4,8 +4,6 @@ Results are written as they come, so a command that is stopped has lost nothing.
 """
 
 import json
-import os
-import signal
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -33,7 +31,12 @@ class _Rate(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """Returns the rate, nothing before it is known."""
-        return Text(f"{task.speed:.2g}/s" if task.speed else "")
+        return Text(rate_text(task.speed))
+
+
+def rate_text(speed: float | None) -> str:
+    """Returns how many are done in a second, with two digits that count."""
+    return f"{float(f'{speed:.2g}'):g}/s" if speed else ""
 
 
 @contextmanager
@@ -90,9 +93,8 @@ def lines_to(path: Path, total: int, noun: str = "graph") -> Generator[Callable[
         nonlocal written
         try:
             print(json.dumps(document, allow_nan=False), file=file, flush=True)
-        except BrokenPipeError:  # nobody reads on; what is left would be tried again at exit
-            os.dup2(os.open(os.devnull, os.O_WRONLY), file.fileno())
-            raise SystemExit(128 + signal.SIGPIPE) from None
+        except BrokenPipeError:  # nobody reads on
+            raise
         except OSError as error:
             raise OSError(f"{path}: cannot be written ({error.strerror})") from error
         written += 1

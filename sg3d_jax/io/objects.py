@@ -144,12 +144,8 @@ def thing_seen(
     box = attributes.get("bounding_box")
     box = box if isinstance(box, dict) else {}
     try:
-        size = box.get("dimensions")
-        if size is None and "max" in box:  # as older files have it
-            corners = zip(vector(box["max"], ""), vector(box["min"], ""), strict=True)
-            size = [high - low for high, low in corners]
-        width = _width_of(size, "")
-    except (KeyError, ValueError):
+        width = _width_of(box.get("dimensions"), "")
+    except ValueError:
         width = 0.0
     return _thing(word, record.position, width, ontology)
 

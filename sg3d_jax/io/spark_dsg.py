@@ -41,6 +41,7 @@ from sg3d_jax.io.objects import Thing, label_names, remarks_on, thing_seen
 from sg3d_jax.io.records import Record, features_by_row, features_in, graph_of, ontology_in, stated
 from sg3d_jax.io.spark_dsg_document import (
     HEADER,
+    NEWEST,
     SYMBOL_BITS,
     Key,
     ends_of,
@@ -67,7 +68,6 @@ from sg3d_jax.scene.ontology import (
 )
 from sg3d_jax.scene.validate import validate_graph
 
-VERSION: Final = {"major": 1, "minor": 1, "patch": 3}
 FIRST_LAYER: Final = 2  # 0 is unused in Hydra, 1 is its mesh
 LAYER_OF_ROOMS: Final = "ROOMS"  # has a class of nodes of its own, as in Hydra
 NO_SEMANTIC_LABEL: Final = 2**32 - 1
@@ -150,7 +150,7 @@ def graph_to_spark_dsg(
             said[part].setdefault(_sure_of(name), []).append(confidence)
     about = {"generator": "sg3d_jax", "units": "m", **stated(ontology), **metadata}
     return {
-        HEADER: {"project_name": "main", "version": VERSION},
+        HEADER: NEWEST,
         "directed": False,
         "multigraph": False,
         "metadata": about,

@@ -1,8 +1,9 @@
 """Documents of Spark-DSG as Hydra saves them, of whatever version, and ours put into one.
 
 Spark-DSG names the layers of a document since 1.1.0, gives them partitions since 1.1.1, and lists
-their keys since 1.1.2; before 1.0 there was no header, and the nodes of agents had a time stamp.
-All are read as the newest. Its binary files are not.
+their keys since 1.1.2; before 1.0 there was no header, and the nodes of agents had a time stamp;
+before 1.0.3 boxes had corners in place of a size. All are read as the newest, and one that ours are
+put into becomes one, so that Spark-DSG opens it. Its binary files are not read.
 
 Source: MIT-SPARK/Spark-DSG 1.1.3, src/serialization/graph_json_serialization.cpp.
 """
@@ -12,11 +13,11 @@ from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 from sg3d_jax.io.attributes import further
-from sg3d_jax.io.files import field
+from sg3d_jax.io.files import field, vector
 
 HEADER: Final = "SPARK_DSG_header"
 OLD_LAYERS: Final = "layer_ids"  # of a document before 1.1.2, where now `layer_keys` are
-OLD_VERSION: Final = {"major": 1, "minor": 0, "patch": 0}
+NEWEST: Final = {"project_name": "main", "version": {"major": 1, "minor": 1, "patch": 3}}
 OLD_NAMES: Final = {"AGENTS": 2, "OBJECTS": 2, "PLACES": 3, "ROOMS": 4, "BUILDINGS": 5}
 SYMBOL_BITS: Final = 56  # of the number in a symbol; its letter is above
 
@@ -54,12 +55,13 @@ def _upgraded(document: dict[str, Any]) -> dict[str, Any]:
         names = {n: {"layer": v, "partition": 0} if type(v) is int else v for n, v in names.items()}
         keys += names.values()
     if isinstance(nodes, list):
-        nodes = [_with_partition(node) for node in nodes]
+        nodes = [_with_size(_with_partition(node)) for node in nodes]
         for node in filter(lambda node: isinstance(node, dict), nodes):
             key = {"layer": node.get("layer"), "partition": node["partition"]}
             keys += [key] if type(key["layer"]) is int and key not in keys else []
     newer = {"layer_keys": keys, "layer_names": names, "nodes": nodes}
-    return {HEADER: {"version": OLD_VERSION}} | document | newer
+    header = NEWEST if isinstance(document.get(HEADER, NEWEST), dict) else document[HEADER]
+    return document | {HEADER: header} | newer
 
 
 def _with_partition(node: Any) -> Any:
@@ -68,6 +70,20 @@ def _with_partition(node: Any) -> Any:
         return node
     timed = "timestamp" in node and type(node.get("id")) is int
     return {"partition": node["id"] >> SYMBOL_BITS if timed else 0} | node
+
+
+def _with_size(node: Any) -> Any:
+    """Returns a node whose box has a size, if it has two corners that are vectors."""
+    attributes = node.get("attributes") if isinstance(node, dict) else None
+    box = attributes.get("bounding_box") if isinstance(attributes, dict) else None
+    if not (isinstance(attributes, dict) and isinstance(box, dict)) or "dimensions" in box:
+        return node
+    try:
+        low, high = (vector(box.get(corner), corner) for corner in ("min", "max"))
+    except ValueError:
+        return node
+    size = [above - below for below, above in zip(low, high, strict=True)]
+    return node | {"attributes": attributes | {"bounding_box": box | {"dimensions": size}}}
 
 
 def layers_of(document: dict[str, Any], ours: Collection[str], where: str) -> dict[Key, str | None]:

@@ -248,10 +248,10 @@ def bar_length(width: float) -> int:
     return max((length for length in BARS if length <= width / 4), default=BARS[0])
 
 
-def caption_of(graph: SceneGraph, floor: int, names: Sequence[str]) -> str:
-    """Returns what is printed above a floor: its name, and that of what it is part of."""
+def caption_of(graph: SceneGraph, floor: int, names: Sequence[str], between: str = ", ") -> str:
+    """Returns what is printed above a floor: the name of what it is part of, and its own."""
     if floor < 0:
         return ""
     concepts, label = ontology_of(graph).names, graph.nodes.label
     wholes = [whole for part, whole in parts_first(graph).tolist() if part == floor]
-    return ", ".join(f"{concepts[label[row]]} {names[row]}" for row in (*wholes, floor))
+    return between.join(f"{concepts[label[row]]} {names[row]}" for row in (*wholes, floor))

@@ -96,6 +96,7 @@ def save_page(
     reload: float | None = None,
     node_names: Sequence[Sequence[int | str]] | None = None,
     truth: Sequence[SceneGraph] | None = None,
+    truth_names: Sequence[Sequence[int | str]] | None = None,
 ) -> None:
     """Writes host graphs as one self-contained interactive HTML page.
 
@@ -112,6 +113,7 @@ def save_page(
       node_names: of each graph what its nodes are called, such as their ids; their rows by default.
       truth: of each graph that of the same segments which is true: its plan is shown below, and
         what differs is marked in space and in the plan above it.
+      truth_names: of each truth what its nodes are called; their rows by default.
 
     Raises:
       ValueError: there is nothing to show, names or truths are too few or too many, the graphs have
@@ -126,9 +128,11 @@ def save_page(
         names = [f"graph {index}" for index in range(len(graphs))]
     nothing = [None] * len(graphs)
     if node_names is None:
-        node_names = [range(len(graph.nodes.label)) for graph in graphs]
+        node_names = [_rows(graph) for graph in graphs]
     truths = nothing if truth is None else truth
-    for what, given in (("names", names), ("truths", truths)):
+    if truth_names is None:
+        truth_names = [() if true is None else _rows(true) for true in truths]
+    for what, given in (("names", names), ("truths", truths), ("names of truths", truth_names)):
         if len(given) != len(graphs):
             counts = f"{len(given)} {what} for {len(graphs)} graphs"
             raise ValueError(f"{path}: {counts}, expected one each")
@@ -139,17 +143,17 @@ def save_page(
     )
     of_nodes = nothing if node_confidence is None else node_confidence
     of_edges = nothing if edge_confidence is None else edge_confidence
-    marks = [_marks(*pair) for pair in zip(graphs, truths, strict=True)]
+    marks = [_marks(*each) for each in zip(graphs, truths, truth_names, strict=True)]
     shown = [
         {
             "counts": _counts(graph),
             "text": hover_text(graph, *sure, called) + texts,
             "data": graph_traces(graph, used, *sure) + traces,
             "layout": _layout(graph, traces),
-            "plans": _plans(graph, called, sure[0], true),
+            "plans": _plans(graph, called, sure[0], true, true_called),
         }
-        for graph, called, true, (texts, traces), *sure in zip(
-            graphs, node_names, truths, marks, of_nodes, of_edges, strict=True
+        for graph, called, true, true_called, (texts, traces), *sure in zip(
+            graphs, node_names, truths, truth_names, marks, of_nodes, of_edges, strict=True
         )
     ]
     again = {} if reload is None else {"reload": reload}
@@ -166,11 +170,17 @@ def save_page(
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _marks(graph: SceneGraph, truth: SceneGraph | None) -> tuple[list[str], list[dict[str, Any]]]:
+def _rows(graph: SceneGraph) -> range:
+    return range(len(graph.nodes.label))
+
+
+def _marks(
+    graph: SceneGraph, truth: SceneGraph | None, truth_names: Sequence[int | str]
+) -> tuple[list[str], list[dict[str, Any]]]:
     """Returns what marks in space what a truth has otherwise: texts of its nodes, and traces."""
     if truth is None:
         return [], []
-    match, texts = matched(graph, truth), hover_text(truth)
+    match, texts = matched(graph, truth), hover_text(truth, node_names=truth_names)
     traces = mark_traces(graph, truth, match, DOT_SCALE * crowding(graph))
     return [texts[row] for row in np.flatnonzero(is_missing(truth, match))], traces
 
@@ -180,13 +190,14 @@ def _plans(
     names: Sequence[int | str],
     node_confidence: Array | None,
     truth: SceneGraph | None,
+    truth_names: Sequence[int | str],
 ) -> list[dict[str, Any]]:
     """Returns the plan of a graph, and that of the truth below it; none of what is not seen so."""
     plans = [plan_of_page(graph, "", names, node_confidence, truth)]
     if truth is not None:
         plans[0] = plans[0] and {**plans[0], "title": MARKS}
-        below = plan_of_page(truth, "truth", range(len(truth.nodes.label)))
-        plans.append(below and {**below, "text": hover_text(truth)})
+        below = plan_of_page(truth, "truth", truth_names)
+        plans.append(below and {**below, "text": hover_text(truth, node_names=truth_names)})
     return [plan for plan in plans if plan is not None]
 
 

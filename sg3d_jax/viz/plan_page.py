@@ -26,7 +26,8 @@ from sg3d_jax.viz.style import CAPTION_COLOUR, INK, MISSING_COLOUR, faded, floor
 
 NAME_SIZE, CAPTION_SIZE = 11, 13  # pixels
 SEGMENT_WIDTH, LINE_WIDTH = 1.5, 3.0  # pixels
-CAPTION_ROOM: Final = 1.15  # height of a cell, in that of what it shows
+CAPTION_ROOM: Final = 0.15  # height of a line of a caption, in that of what a cell shows
+NEW_LINE: Final = "<br>"  # of plotly
 DECIMALS: Final = 3  # millimetres
 HATCH: Final = {"shape": "/", "fgcolor": "#ffffff"}
 HIDDEN: Final = {"visible": False}
@@ -53,7 +54,9 @@ def plan_of_page(
     if not len(plan.segments):
         return None
     cells, texts = arranged(graph, plan), [str(name) for name in names]
-    cells = cells._replace(span=cells.span * np.array([1.0, CAPTION_ROOM]))
+    captions = [caption_of(graph, row, texts, NEW_LINE) for row in cells.floors]
+    lines = 1 + max(caption.count(NEW_LINE) for caption in captions)
+    cells = cells._replace(span=cells.span * np.array([1.0, 1.0 + CAPTION_ROOM * lines]))
     odd, missing = (set(), []) if truth is None else differences(graph, plan, truth)
     floor, middles = floor_of(graph), dict(zip(cells.floors, _shifts(cells), strict=True))
     shift = np.array([middles.get(row, (np.nan, np.nan)) for row in floor.tolist()])
@@ -65,7 +68,7 @@ def plan_of_page(
         *_lines(graph, plan.segment_rows, plan.segments, shift, sure, SEGMENT_WIDTH),
         *_lines(graph, plan.line_rows, plan.lines, shift, sure, LINE_WIDTH),
         _trace(_closed(outlines), line={"color": MISSING_COLOUR, "dash": "dash", "width": 2}),
-        *_texts(graph, plan, cells, shift, texts),
+        *_texts(graph, plan, cells, shift, texts, captions),
         _bar(float(width), float(height)),
     ]
     return {"title": title, "data": data, "layout": _layout(float(width), float(height))}
@@ -124,7 +127,12 @@ def _lines(
 
 
 def _texts(
-    graph: SceneGraph, plan: Plan, cells: Arranged, shift: np.ndarray, names: Sequence[str]
+    graph: SceneGraph,
+    plan: Plan,
+    cells: Arranged,
+    shift: np.ndarray,
+    names: Sequence[str],
+    captions: Sequence[str],
 ) -> list[dict[str, Any]]:
     """Returns the names of areas, and the captions of floors."""
     areas = [
@@ -140,7 +148,7 @@ def _texts(
         },
         _trace(tops, mode="text", textposition="bottom center")
         | {
-            "text": [caption_of(graph, row, names) for row in cells.floors],
+            "text": [*captions],
             "textfont": {"size": CAPTION_SIZE, "color": CAPTION_COLOUR},
         },
     ]

@@ -212,10 +212,10 @@ def hydra(*objects, **metadata):
 
 def test_objects_of_hydra_are_told_by_its_label_names_and_their_boxes():
     box = {"type": "AABB", "dimensions": [0.5, 1.5, 2.5], "world_P_center": [0, 0, 0]}
-    old = {"type": 1, "min": [0, 0, 0], "max": [3, 2, 1]}
+    wide = {"type": "AABB", "dimensions": [3, 2, 1], "world_P_center": [0, 0, 0]}
     named = [
         {"semantic_label": 7, "name": "O(10)", "bounding_box": box},
-        {"semantic_label": 4, "name": "chair", "bounding_box": old},
+        {"semantic_label": 4, "name": "chair", "bounding_box": wide},
         {"semantic_label": 9, "name": "table_3"},
         {"semantic_label": 9, "name": "O(13)", "bounding_box": {"type": "INVALID"}},
     ]

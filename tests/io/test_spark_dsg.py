@@ -8,6 +8,7 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import synthetic
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.io.formats import read_graphs, read_with_attributes, write_graphs, write_into
 from sg3d_jax.io.spark_dsg import graph_from_spark_dsg, graph_to_spark_dsg, read_spark_dsg
 from sg3d_jax.scene.graph import features_of, make_graph, parts_first, subgraph, undirected_edges
@@ -483,6 +484,66 @@ def test_what_hydra_saved_is_added_to_and_opened_by_their_library(tmp_path):
     assert sizes["OBJECTS"] == sizes["PLACES"] == sizes["BUILDINGS"] == 1
     planes = [*loaded.get_layer("PLANES").nodes]
     assert all(plane.has_parent() and plane.get_parent() >> 56 == ord("R") for plane in planes)
+
+
+def saved_before_1_0_3():
+    """Returns an object, a room and a robot as Hydra saved them without a header."""
+    old = {"layer_ids": [2, 4], "directed": False, "multigraph": False, "edges": [], "nodes": []}
+    middle = [1.75, 1.5, 2.25]
+    box = {"type": "AABB", "min": [0, 1, 2], "max": [3.5, 2, 2.5], "world_P_center": middle}
+    no_rotation = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
+    for letter, kind, layer, more in (
+        ("O", "ObjectNodeAttributes", 2, {"color": [219, 128, 223], "semantic_label": 5}),
+        ("R", "RoomNodeAttributes", 4, {"color": [255, 0, 0], "semantic_label": 0}),
+    ):
+        attributes = {"type": kind, "position": middle, "name": f"{letter}(0)", **more}
+        attributes |= {"is_active": True, "last_update_time_ns": 112}
+        attributes["bounding_box"] = box | {"world_R_center": no_rotation}
+        if letter == "O":
+            attributes |= {"mesh_connections": [602], "registered": True}
+            attributes["world_R_object"] = no_rotation
+        old["nodes"].append({"id": ord(letter) << 56, "layer": layer, "attributes": attributes})
+    robot = {"type": "AgentNodeAttributes", "position": [0, 0, 0], "world_R_body": no_rotation}
+    robot |= {"is_active": False, "last_update_time_ns": 0, "external_key": 0}
+    robot |= {"dbow_ids": None, "dbow_values": None}
+    of_robot = {"id": ord("a") << 56, "layer": 2, "timestamp": 3647910000, "attributes": robot}
+    old["nodes"].append(of_robot)
+    return old
+
+
+def test_a_box_of_two_corners_has_a_size():
+    made = read_spark_dsg(saved_before_1_0_3(), ontology=FURNISHED_ONTOLOGY)
+    assert sorted(made.graph.nodes.width.tolist()) == [0, 3.5]
+
+
+@pytest.mark.parametrize("corner", [None, [1, 2], [1, 2, "3"]])
+def test_a_box_of_broken_corners_stays_as_it_is(corner):
+    old = saved_before_1_0_3()
+    old["nodes"][0]["attributes"]["bounding_box"]["min"] = corner
+    assert read_spark_dsg(old, ontology=FURNISHED_ONTOLOGY).graph.nodes.width.tolist() == [0, 0]
+
+
+def test_an_old_file_with_our_layers_is_one_of_the_newest(tmp_path):
+    old = saved_before_1_0_3()
+    (tmp_path / "dsg.json").write_text(json.dumps(old))
+    write_into(tmp_path / "a.json", city(), tmp_path / "dsg.json")
+    made = json.loads((tmp_path / "a.json").read_text())
+    assert made["SPARK_DSG_header"] == document()["SPARK_DSG_header"]
+    box = made["nodes"][0]["attributes"]["bounding_box"]
+    assert box == old["nodes"][0]["attributes"]["bounding_box"] | {"dimensions": [3.5, 1, 0.5]}
+
+
+def test_an_old_file_with_our_layers_is_opened_by_their_library(tmp_path):
+    spark_dsg = library()
+    (tmp_path / "dsg.json").write_text(json.dumps(saved_before_1_0_3()))
+    write_into(tmp_path / "a.json", city(), tmp_path / "dsg.json")
+    loaded = spark_dsg.DynamicSceneGraph.load(str(tmp_path / "a.json"))
+    sizes = {name: loaded.get_layer(name).num_nodes() for name in loaded.layer_names}
+    assert (sizes["OBJECTS"], sizes["PLANES"], sizes["ROOMS"]) == (1, 4, 2)
+    before = spark_dsg.DynamicSceneGraph.load(str(tmp_path / "dsg.json"))
+    thing = spark_dsg.NodeSymbol("O", 0)
+    boxes = [graph.get_node(thing).attributes.bounding_box for graph in (before, loaded)]
+    assert boxes[0].dimensions.tolist() == boxes[1].dimensions.tolist() == [3.5, 1, 0.5]
 
 
 def broken(change):

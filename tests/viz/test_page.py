@@ -44,7 +44,7 @@ addEventListener("securitypolicyviolation", event => problems.push(event.blocked
 # Uses the page as a person does, then reports what was seen on the console.
 USE = """<script>
 const wait = ms => new Promise(done => setTimeout(done, ms));
-const plot = document.getElementById("scene");
+const plot = document.getElementById("space");
 const layers = () => Object.fromEntries(plot._fullData.map(layer => [layer.uid, layer.visible]));
 async function until(ready) { for (let i = 0; i < 400 && !ready(); i++) await wait(50); }
 async function click(name) {
@@ -238,6 +238,20 @@ def test_below_a_plan_is_that_of_the_truth_whose_nodes_have_their_own_text(tmp_p
     assert [plan["title"] for plan in first["plans"]][1:] == ["truth"]
     assert first["plans"][1]["text"] == hover_text(room)
     assert second["plans"] == []
+
+
+def test_what_the_truth_has_is_called_by_its_names(tmp_path):
+    truth = small_city()
+    made, names = subgraph(truth, np.arange(TOP)), [f"n{row}" for row in range(TOP + 1)]
+    save_page([made], tmp_path / "a.html", truth=[truth], truth_names=[names])
+    (page,) = embedded(tmp_path / "a.html")["graphs"]
+    assert any(f"n{TOP}" in text for text in page["text"])
+    below = page["plans"][1]
+    assert below["text"] == hover_text(truth, node_names=names)
+    captions = next(trace for trace in below["data"][-2::-1] if "text" in trace)["text"]
+    assert captions[0].endswith(f"floor n{FLOORS[0]}")
+    with pytest.raises(ValueError, match=r"0 names of truths for 1 graphs"):
+        save_page([made], tmp_path / "a.html", truth=[truth], truth_names=[])
 
 
 def test_what_the_truth_alone_has_is_marked_in_view_and_has_its_text(tmp_path):

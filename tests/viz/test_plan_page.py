@@ -67,6 +67,17 @@ def test_storeys_lie_apart():
             assert (low > other_high).any() or (other_low > high).any()
 
 
+def test_a_storey_is_named_below_its_building_and_above_what_it_shows():
+    data = planned(small_city())
+    captions = next(trace for trace in reversed(data) if trace["mode"] == "text")
+    assert captions["text"][0].split("<br>")[1] == f"floor {FLOORS[0]}"
+    assert all(len(text.split("<br>")) == 2 for text in captions["text"])
+    high = max(np.nanmax(points_of(trace)[:, 1]) for trace in areas_of(data))
+    (low, _) = plan_of_page(small_city(), "", range(27))["layout"]["yaxis"]["range"]
+    cell = -low / len({*captions["y"]})
+    assert max(captions["y"]) - high > 0.15 * cell  # for two lines
+
+
 def test_what_differs_from_the_truth_is_hatched_and_what_is_lacking_dashed():
     truth = two_rooms()
     same, other = planned(truth, truth=truth), planned(without_wholes(truth, 7), truth=truth)
