@@ -50,6 +50,7 @@ from sg3d_jax.io.spark_dsg_document import (
     layers_of,
     modern,
     remark_on_others,
+    remarks_on_encoding,
 )
 from sg3d_jax.scene.graph import (
     Array,
@@ -196,7 +197,7 @@ def read_spark_dsg(
     Raises:
       ValueError: one sentence that names the node or edge, the field and what was expected.
     """
-    document = modern(document, where)
+    given, document = document, modern(document, where)
     about = document.get("metadata")
     ontology = ontology_in(about if isinstance(about, dict) else {}, where, ontology)
     labels, kept = _labels(ontology), _kept_wholes(ontology)
@@ -212,6 +213,7 @@ def read_spark_dsg(
             others[key] += 1
             skipped.add(integer(record, "id", here))
     remarks = [remark_on_others(layers, others, "mesh" in document)] if others else []
+    remarks += remarks_on_encoding(given)
     remarks += remarks_on([node.thing for node in nodes if node.thing], ontology)
     if others and not nodes:
         raise ValueError(f"{where}: {remarks[0]}, expected nodes of {', '.join(labels)}")

@@ -18,6 +18,7 @@ from sg3d_jax.io.files import field, vector
 HEADER: Final = "SPARK_DSG_header"
 OLD_LAYERS: Final = "layer_ids"  # of a document before 1.1.2, where now `layer_keys` are
 NEWEST: Final = {"project_name": "main", "version": {"major": 1, "minor": 1, "patch": 3}}
+NUMBERS: Final = ("major", "minor", "patch")
 OLD_NAMES: Final = {"AGENTS": 2, "OBJECTS": 2, "PLACES": 3, "ROOMS": 4, "BUILDINGS": 5}
 SYMBOL_BITS: Final = 56  # of the number in a symbol; its letter is above
 
@@ -45,6 +46,18 @@ def modern(document: Any, where: str) -> dict[str, Any]:
             article = "an object" if kind is dict else "a list"
             raise ValueError(f"{where}: {key} {held}, expected {article} as Spark-DSG writes it")
     return document
+
+
+def remarks_on_encoding(document: dict[str, Any]) -> list[str]:
+    """Returns a remark that says by which version a document is written, if `modern` changes it."""
+    if "layer_keys" in document:
+        return []
+    header = document.get(HEADER)
+    version = header.get("version") if isinstance(header, dict) else None
+    numbers = [version.get(part) for part in NUMBERS] if isinstance(version, dict) else []
+    known = len(numbers) > 0 and all(type(number) is int for number in numbers)
+    name = ".".join(map(str, numbers)) if known else "before 1.0 (no header)"
+    return [f"read the encoding of Spark-DSG {name:.40} like the newest"]
 
 
 def _upgraded(document: dict[str, Any]) -> dict[str, Any]:

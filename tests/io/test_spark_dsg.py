@@ -334,6 +334,7 @@ def saved_by_hydra(version="new"):
     made |= {"mesh": {"points": []}, "metadata": {"run": 7}}
     if version != "new":
         del made["layer_keys"]
+        made["SPARK_DSG_header"]["version"] = {"major": 1, "minor": 0, "patch": 9}
         made["layer_ids"] = [2, 3, 4, 5]
         made["layer_names"] = {name: v["layer"] for name, v in made["layer_names"].items()}
         for node in made["nodes"]:
@@ -347,8 +348,15 @@ def saved_by_hydra(version="new"):
 HYDRA_EDGES = [(0, 3), (0, 4), (3, 2), (3, 4), (5, 3)]  # room to places, place to object, ...
 
 
-@pytest.mark.parametrize("version", ["new", "old", "oldest"])
-def test_layers_that_are_no_concepts_are_left_out_and_counted(version, tmp_path):
+@pytest.mark.parametrize(
+    ("version", "remarks"),
+    [
+        ("new", []),
+        ("old", ["read the encoding of Spark-DSG 1.0.9 like the newest"]),
+        ("oldest", ["read the encoding of Spark-DSG before 1.0 (no header) like the newest"]),
+    ],
+)
+def test_layers_that_are_no_concepts_are_left_out_and_counted(version, remarks, tmp_path):
     building = ord("B") << 56
     text = json.dumps(saved_by_hydra(version)).replace(f"{building}", f"{building + 1}")
     (tmp_path / "dsg.json").write_text(text)  # symbols are numbered as our rows are
@@ -357,7 +365,7 @@ def test_layers_that_are_no_concepts_are_left_out_and_counted(version, tmp_path)
     npt.assert_array_equal(undirected_edges(read.graph, PART_OF), [[0, 1]])
     assert read.attributes == [{"id": ord("R") << 56}, {"id": building + 1}]
     said = "2 of PLACES; 1 of AGENTS and OBJECTS; 1 of layer 2, partition 97; the mesh"
-    assert read.remarks == (f"left out what is in no layer of ours: {said}",)
+    assert read.remarks == (f"left out what is in no layer of ours: {said}", *remarks)
 
 
 def test_a_file_of_other_layers_alone_is_refused():
