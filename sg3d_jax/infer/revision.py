@@ -80,8 +80,11 @@ def revised(
     update: int,
     next_id: int,
     is_banned: Callable[[int, frozenset[int]], bool] | None = None,
+    piece_of: np.ndarray | None = None,
 ) -> Map:
     """Returns a map with what it takes over of a draw.
+
+    A whole with pieces of the same as before has not changed, however those are cut.
 
     Args:
       known: what is there.
@@ -91,13 +94,15 @@ def revised(
       next_id: of the first node that comes.
       is_banned: whether a whole of a concept over some rows of the map is not to come; None if all
         may.
+      piece_of: int[k], of each of the first rows, which are observed, the first row that is a piece
+        of the same; None if none are.
     """
     over = _overlaid(known, region, drawn)
     verdict = _judged(over, known.tracks.astray, is_banned)
     stays = _that_stay(verdict.part_of, over.label, over.firm, over.ontology)
     part_of = verdict.part_of & stays[:, None] & stays
     inside = np.isin(np.arange(len(stays)), verdict.stands[over.rows])
-    changed = (over.known != part_of).any(axis=0)
+    changed = (_joined(over.known, piece_of) != _joined(part_of, piece_of)).any(axis=0)
     agrees = verdict.told.any(axis=0) & (verdict.told == part_of)[inside].all(axis=0)
     again = over.open & (verdict.told | (part_of & inside[:, None])).any(axis=0)
     tracks = Tracks(*(_padded(field, len(over.new)) for field in known.tracks))
@@ -111,7 +116,8 @@ def revised(
     drawn_at = there.copy()
     drawn_at[verdict.stands[over.new]] = drawn.nodes.position[len(region.rows) :]
     position = there + share[:, None] * (drawn_at - there)
-    lasting = there, position, over.known, part_of, over.label, over.ontology, share == 0
+    before = np.where(changed, over.known, part_of)
+    lasting = there, position, before, part_of, over.label, over.ontology, share == 0
     graph = _with_nodes(known.graph, over.label, followed(*lasting), part_of)
     is_waiting = ~part_of.any(axis=1) & verdict.astray.any(axis=1) & graph.nodes.observed
     tracks.id[over.new], tracks.born[over.new] = -1, update
@@ -169,6 +175,16 @@ def followed(
                 was[2], is_at[2] = (each[:, 2].max() for each in parts)
             now[row] += is_at - was
     return now
+
+
+def _joined(part_of: np.ndarray, piece_of: np.ndarray | None) -> np.ndarray:
+    """Returns bool[m, m], part and whole, where the pieces of one are the first of them."""
+    rows = np.arange(len(part_of))
+    if piece_of is not None:
+        rows[: len(piece_of)] = piece_of
+    joined = np.zeros_like(part_of)
+    np.logical_or.at(joined, rows, part_of)
+    return joined
 
 
 def _overlaid(known: Map, region: Region, drawn: SceneGraph) -> _Overlay:

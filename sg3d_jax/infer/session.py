@@ -18,7 +18,7 @@ compiles them ahead.
 Source: paper, Sec. "Conclusion" (real-time robotics as the next step). The rest is ours.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final, NamedTuple
 
@@ -143,7 +143,7 @@ def update(
         if drawn is None:
             remarks.append(f"{where}: what was drawn did not come to its end, and was left")
         else:
-            after = _revised(after, region, drawn)
+            after = _revised(after, region, drawn, {*changes.ids})
     return after, _differences(session, after, heir, remarks)
 
 
@@ -355,17 +355,20 @@ def _grown(
     return jax.tree.map(lambda leaf: np.asarray(leaf)[0], grown)
 
 
-def _revised(session: Session, region: Region, drawn: SceneGraph) -> Session:
-    """Returns a map with what it takes over of a draw."""
+def _revised(session: Session, region: Region, drawn: SceneGraph, told: Set[int | str]) -> Session:
+    """Returns a map with what it takes over of a draw; of what is told, each piece is its own."""
     owner, present = [session.ids[row] for row in session.pieces.owner], {*session.ids}
     banned = {(label, ids & present) for label, ids in session.banned}
 
     def is_banned(label: int, pieces: frozenset[int]) -> bool:
         return (label, frozenset(owner[row] for row in pieces)) in banned
 
+    _, first, which = np.unique(session.pieces.owner, return_index=True, return_inverse=True)
+    is_told = np.array([name in told for name in owner], bool)
     known = revised(
         *(session.known, region, drawn, session.updates, session.next_id),
         is_banned=is_banned if banned else None,
+        piece_of=np.where(is_told, np.arange(len(owner)), first[which]),
     )
     next_id = max(session.next_id, 1 + int(known.tracks.id.max(initial=-1)))
     return session._replace(known=known, next_id=next_id)

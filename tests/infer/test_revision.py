@@ -61,6 +61,16 @@ def test_a_draw_that_agrees__changes_nothing_but_what_is_known_of_it():
     assert not after.tracks.astray[:8, [WALL, ROOM]].any()
 
 
+@pytest.mark.parametrize("is_piece", [True, False])
+def test_a_whole_that_gets_another_piece_of_what_it_has__has_not_changed(is_piece):
+    known, draw = known_as(drawn(WEST, EAST[1:]), due=[4]), drawn(WEST, EAST, at=3.0)
+    piece_of = np.array([*range(4), 5 if is_piece else 4, 5, 6, 7])
+    after = redrawn(known, draw, piece_of=piece_of)
+    assert wholes(after)[1] == (ROOM, {*EAST})
+    assert after.graph.nodes.position[9, 0] == (0.0 if is_piece else 3.0)
+    assert after.tracks.held[9] == (2 if is_piece else 1)
+
+
 def test_where_a_map_is_thought_over__places_become_the_mean_of_all_draws():
     known, there = known_as(BOTH), BOTH.nodes.position
     for number, x in ((2, 3.0), (3, 6.0)):
