@@ -329,6 +329,7 @@ def interrupt(shell: Shell, times: int, draw: random.Random) -> Counter[str]:
     """Stops a command by Ctrl-C or SIGTERM, mostly while it starts."""
     given, written = COMMANDS["complete"]
     arguments = (*given, "-o", written)
+    shell.succeed(*arguments)  # compiles
     seconds, _ = shell.succeed(*arguments)
     found = Counter[str]()
     for index in range(times):
