@@ -179,11 +179,12 @@ def followed(
 
 def _joined(part_of: np.ndarray, piece_of: np.ndarray | None) -> np.ndarray:
     """Returns bool[m, m], part and whole, where the pieces of one are the first of them."""
-    rows = np.arange(len(part_of))
-    if piece_of is not None:
-        rows[: len(piece_of)] = piece_of
-    joined = np.zeros_like(part_of)
-    np.logical_or.at(joined, rows, part_of)
+    if piece_of is None:
+        return part_of
+    further = np.flatnonzero(piece_of != np.arange(len(piece_of)))
+    joined = part_of.copy()
+    np.logical_or.at(joined, piece_of[further], part_of[further])
+    joined[further] = False
     return joined
 
 

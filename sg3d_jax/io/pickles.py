@@ -88,8 +88,9 @@ def read_pickle(
       ValueError: the pickle asks for something else, is cut short or too large, or is none.
     """
     try:
-        memory = Memory(most - len(data) - _most_remembered(data))
-        machine = _Machine(admitted, memory, _recalls(data), made)
+        remembered = _most_remembered(data)
+        memory = Memory(most - len(data) - remembered)
+        machine = _Machine(admitted, memory, _recalls(data, remembered), made)
         end = _run(machine, data, most)
         (value,) = machine.stack
     except _RefusedError as error:
@@ -212,12 +213,12 @@ def _most_remembered(data: bytes) -> int:
     return sum(data.count(code) for code, (word, _, _) in enumerate(_WORDS) if word in _REMEMBERING)
 
 
-def _recalls(data: bytes) -> bytearray:
-    """Counts how often a pickle recalls each value that it remembers, up to `OFTEN` times.
+def _recalls(data: bytes, remembered: int) -> bytearray:
+    """Counts how often a pickle recalls each of so many values, up to `OFTEN` times.
 
     What comes after a broken word is not counted: the machine will not get there.
     """
-    recalls, place = bytearray(_most_remembered(data)), 0
+    recalls, place = bytearray(remembered), 0
     with suppress(ValueError, LookupError, struct.error, _RefusedError):
         while (code := data[place]) != _STOP:
             if skipped := _SKIPPED[code]:
