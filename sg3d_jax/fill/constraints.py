@@ -31,6 +31,7 @@ class Rules(NamedTuple):
 
     ontology: Ontology  # no array: part of the tree structure
     label: Array  # bool[C], concepts that a new node may have
+    closes: Array  # bool[C], those of them that give a loose node its whole (see `is_loose`)
     part: Array  # bool[C, N], old nodes that may become part of a new node of each concept
     whole: Array  # bool[C, N], old nodes of which a new node of each concept may become part
     old_label: Array  # int32[N]
@@ -85,7 +86,7 @@ def rules_of(
       graph: padded.
       num_block: M; where it is more than one, nodes of a block may be parts of each other.
       layers: the concepts in the order of insertion; empty for bottom-up.
-      closing: whether only what gives a loose node its whole may come (see `is_loose`).
+      closing: whether only what gives a loose node its whole may come.
       last: whether nothing comes after this block, so that its parts find their wholes in it.
     """
     ontology, mask = ontology_of(graph), graph.nodes.mask
@@ -101,10 +102,12 @@ def rules_of(
     possible = enough & ~jnp.asarray(ontology.is_observed) & ~(jnp.asarray(ontology.is_top) & there)
     closes = jnp.any(part & single[label].T & loose[None, :], axis=-1)
     closes |= jnp.any(whole & _lacks_parts(graph, layers)[None, :], axis=-1)
+    closes &= possible
     must = jnp.asarray(ontology.is_top[None, :] | order.after | last) & single
     return Rules(
         ontology=ontology,
-        label=jnp.where(closing, possible & closes, possible),
+        label=jnp.where(closing, closes, possible),
+        closes=closes,
         part=part,
         whole=whole,
         old_label=label,

@@ -53,5 +53,4 @@ def halt_loss(
 
 def draw_halt(key: Key[Array, ""], logit: Float[Array, ""], threshold: bool) -> Bool[Array, ""]:
     """Decides by a threshold at probability one half, or by a draw as FLAGG does."""
-    drawn = jax.random.uniform(key) < jax.nn.sigmoid(logit)
-    return jnp.where(threshold, logit > 0, drawn)
+    return logit > 0 if threshold else jax.random.uniform(key) < jax.nn.sigmoid(logit)

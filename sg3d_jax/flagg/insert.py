@@ -58,5 +58,7 @@ def insert_loss(logits: Float[Array, " K"], target: Float[Array, " K"]) -> Float
 def draw_size(
     key: Key[Array, ""], logits: Float[Array, " K"], coins: tuple[int, ...]
 ) -> Int[Array, ""]:
-    """Draws the size of the next block."""
+    """Draws the size of the next block; with one coin there is nothing to draw."""
+    if len(coins) == 1:
+        return jnp.int32(coins[0])
     return jnp.asarray(coins, jnp.int32)[jax.random.categorical(key, logits)]

@@ -183,8 +183,9 @@ class Flagg:
         wants = draw_halt(key, logit, self.config.halt_by_threshold)
         if not self.config.constrained:
             return wants, jnp.zeros((), bool)
-        ends = is_whole(graph, self.config.layers) | ~jnp.any(self._rules(graph, True).label)
-        halted = (wants & ends) | ~jnp.any(self._rules(graph).label)
+        rules = self._rules(graph)
+        ends = is_whole(graph, self.config.layers) | ~jnp.any(rules.closes)
+        halted = (wants & ends) | ~jnp.any(rules.label)
         return halted, wants & ~halted
 
     def _rules(self, graph: SceneGraph, closing: Bool[Array, ""] | bool = False) -> Rules:

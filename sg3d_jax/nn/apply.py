@@ -1,14 +1,51 @@
-"""Applying a network, and a stack of equal layers: where linen's own interface is narrowed."""
+"""Applying a network, its linear layers, and a stack of equal ones: linen, narrowed and quicker."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+from flax import errors
 from flax import linen as nn
+from jaxtyping import Array, Float
 
 
 def apply(network: nn.Module, params: Any, *inputs: Any) -> Any:
     """Returns what the network computes; linen's own `apply` may also return mutated variables."""
     return network.apply(params, *inputs)
+
+
+class Dense(nn.Module):
+    """linen's linear layer, which for parameters that are given traces nothing but their product.
+
+    linen traces the initial value of every parameter that it is given, to compare the shapes: a
+    sixth of the time to trace growing. Here the shape alone is asked for.
+
+    Raises:
+      ScopeParamShapeError: a given parameter has another shape.
+    """
+
+    features: int
+    use_bias: bool = True
+    kernel_init: Callable[..., Any] = nn.initializers.lecun_normal()
+
+    @nn.compact
+    def __call__(self, inputs: Float[Array, "... D"]) -> Float[Array, "... K"]:
+        """Returns W x + b."""
+        kernel = self._parameter("kernel", self.kernel_init, (inputs.shape[-1], self.features))
+        outputs = jax.lax.dot_general(inputs, kernel, (((inputs.ndim - 1,), (0,)), ((), ())))
+        if not self.use_bias:
+            return outputs
+        bias = self._parameter("bias", nn.initializers.zeros, (self.features,))
+        return outputs + jnp.expand_dims(bias, range(inputs.ndim - 1))
+
+    def _parameter(self, name: str, init: Callable[..., Any], shape: tuple[int, ...]) -> Array:
+        if not self.has_variable("params", name):
+            return self.param(name, init, shape)
+        value = self.get_variable("params", name)
+        if value.shape != shape:
+            raise errors.ScopeParamShapeError(name, "/".join(self.path), value.shape, shape)
+        return value
 
 
 def stacked(layer: type[nn.Module], number: int, in_axes: Any = nn.broadcast) -> Any:
@@ -30,4 +67,5 @@ def stacked(layer: type[nn.Module], number: int, in_axes: Any = nn.broadcast) ->
         split_rngs={"params": True},
         in_axes=in_axes,
         length=number,
+        check_constancy_invariants=False,  # which would trace the layer once more
     )

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float, Int, Key
 
+from sg3d_jax.nn.apply import Dense
 from sg3d_jax.nn.embed import safe_norm
 
 NO_ROOM = -1
@@ -69,8 +70,8 @@ class MLP(nn.Module):
         """Returns the output of the last layer."""
         *inner, last = self.widths
         for width in inner:
-            hidden = nn.relu(nn.Dense(width, kernel_init=_XAVIER)(hidden))
-        return nn.Dense(last, kernel_init=_XAVIER)(hidden)
+            hidden = nn.relu(Dense(width, kernel_init=_XAVIER)(hidden))
+        return Dense(last, kernel_init=_XAVIER)(hidden)
 
 
 class GraphAttention(nn.Module):
@@ -86,7 +87,7 @@ class GraphAttention(nn.Module):
     def __call__(self, nodes: Float[Array, "N D"], loops: Links) -> Float[Array, "N K"]:
         """Returns the new node states; `loops` are links with loops."""
         num_nodes, shape = nodes.shape[0], (self.heads, self.width)
-        states = nn.Dense(self.heads * self.width, use_bias=False, kernel_init=_XAVIER)(nodes)
+        states = Dense(self.heads * self.width, use_bias=False, kernel_init=_XAVIER)(nodes)
         states = states.reshape(num_nodes, *shape)
         as_sender = jnp.einsum("nhw,hw->nh", states, self.param("sender", _XAVIER, shape))
         as_receiver = jnp.einsum("nhw,hw->nh", states, self.param("receiver", _XAVIER, shape))
@@ -118,7 +119,7 @@ class EdgeBranchGAT(nn.Module):
         loops = with_loops(links, nodes.shape[0])
         for layer, heads in enumerate((self.heads, 1)):
             ends = [nodes[links.senders], nodes[links.receivers], edges]
-            update = nn.Dense(self.width, kernel_init=_XAVIER, name=f"edge_{layer}")
+            update = Dense(self.width, kernel_init=_XAVIER, name=f"edge_{layer}")
             edges = update(jnp.concatenate(ends, axis=-1))
             attention = GraphAttention(heads, self.width, name=f"attention_{layer}")
             nodes = nn.elu(attention(nodes, loops))
@@ -257,16 +258,16 @@ class RoomReadout(nn.Module):
         arrows = jnp.stack([normal, away], axis=1)
         count = jax.ops.segment_sum(mask.astype(jnp.float32), room, num_nodes)
         seen = [width, safe_norm(away), jnp.sum(normal * away, axis=-1), count[room] / 10.0]
-        hidden = nn.relu(nn.Dense(self.width, name="planes")(jnp.stack(seen, axis=-1)))
+        hidden = nn.relu(Dense(self.width, name="planes")(jnp.stack(seen, axis=-1)))
         for index in range(self.rounds):
-            weights = segment_softmax(nn.Dense(1, name=f"score_{index}")(hidden), star, num_nodes)
+            weights = segment_softmax(Dense(1, name=f"score_{index}")(hidden), star, num_nodes)
             state = jax.ops.segment_sum(weights * hidden, room, num_nodes)
-            factors = nn.Dense(2 * self.channels, name=f"factors_{index}")(hidden)
+            factors = Dense(2 * self.channels, name=f"factors_{index}")(hidden)
             vectors = _summed(factors, arrows, weights, room)
             inner = jnp.einsum("nav,ncv->nac", arrows, vectors[room]).reshape(num_nodes, -1)
             inputs = jnp.concatenate([hidden, state[room], inner], axis=-1)
-            hidden = nn.relu(nn.Dense(self.width, name=f"hidden_{index}")(inputs))
-        factors = nn.Dense(2, name="offset", kernel_init=nn.initializers.zeros)(hidden)
+            hidden = nn.relu(Dense(self.width, name=f"hidden_{index}")(inputs))
+        factors = Dense(2, name="offset", kernel_init=nn.initializers.zeros)(hidden)
         share = (mask / jnp.maximum(count, 1.0)[room])[:, None]
         return _summed(factors, arrows, share, room)[:, 0]
 
@@ -291,8 +292,8 @@ def _summed(
     return jax.ops.segment_sum(jnp.einsum("nac,nav->ncv", factors, arrows), room, num_nodes)
 
 
-def _linear(width: int, name: str) -> nn.Dense:
-    return nn.Dense(width, use_bias=False, kernel_init=_XAVIER, name=name)
+def _linear(width: int, name: str) -> Dense:
+    return Dense(width, use_bias=False, kernel_init=_XAVIER, name=name)
 
 
 def _split(key: Key[Array, ""] | None, num: int) -> Sequence[Key[Array, ""] | None]:

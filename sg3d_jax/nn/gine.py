@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float
 
-from sg3d_jax.nn.apply import stacked
+from sg3d_jax.nn.apply import Dense, stacked
 from sg3d_jax.nn.embed import edge_features, graph_features, node_features
 from sg3d_jax.scene.graph import SceneGraph
 
@@ -34,8 +34,8 @@ class GINELayer(nn.Module):
         message = nn.relu(jnp.take(nodes, graph.senders, axis=0) + edge) * edge_mask
         total = jax.ops.segment_sum(message, graph.receivers, nodes.shape[0])
         hidden = nn.LayerNorm(name="norm")(nodes + total)
-        hidden = nn.relu(nn.Dense(2 * self.width, name="hidden")(hidden))
-        return (nodes + nn.Dense(self.width, name="out")(hidden)) * mask, None
+        hidden = nn.relu(Dense(2 * self.width, name="hidden")(hidden))
+        return (nodes + Dense(self.width, name="out")(hidden)) * mask, None
 
 
 class GINE(nn.Module):
@@ -52,9 +52,9 @@ class GINE(nn.Module):
     def __call__(self, graph: SceneGraph) -> Encoding:
         """Encodes one padded graph; masked nodes and edges do not matter."""
         mask = graph.nodes.mask[:, None].astype(jnp.float32)
-        nodes = nn.Dense(self.width, name="nodes")(node_features(graph)) * mask
-        edges = nn.relu(nn.Dense(self.width, name="edges")(edge_features(graph)))
-        messages = nn.Dense(self.layers * self.width, name="messages")(edges)
+        nodes = Dense(self.width, name="nodes")(node_features(graph)) * mask
+        edges = nn.relu(Dense(self.width, name="edges")(edge_features(graph)))
+        messages = Dense(self.layers * self.width, name="messages")(edges)
         messages = messages.reshape(-1, self.layers, self.width)
         layers = stacked(GINELayer, self.layers, in_axes=(1, nn.broadcast))
         nodes, _ = layers(self.width, name="layers")(nodes, messages, graph)
@@ -80,8 +80,8 @@ class GraphHead(nn.Module):
         mean = jnp.sum(nodes * mask, axis=0) / jnp.maximum(jnp.sum(mask), 1)
         most = jnp.max(jnp.where(mask, nodes, -1e9), axis=0)
         pooled = jnp.concatenate([mean, most, graph_features(graph)])
-        hidden = nn.relu(nn.Dense(self.width, name="hidden")(pooled))
-        return nn.Dense(self.num_logits, name="logits")(hidden)
+        hidden = nn.relu(Dense(self.width, name="hidden")(pooled))
+        return Dense(self.num_logits, name="logits")(hidden)
 
 
 class NodeHead(nn.Module):
@@ -98,5 +98,5 @@ class NodeHead(nn.Module):
     def __call__(self, graph: SceneGraph) -> Float[Array, "N K"]:
         """Returns the logits of the nodes of one padded graph."""
         nodes = GINE(self.width, self.layers, name="gine")(graph).nodes
-        hidden = nn.relu(nn.Dense(self.width, name="hidden")(nodes))
-        return nn.Dense(self.num_logits, name="logits")(hidden)
+        hidden = nn.relu(Dense(self.width, name="hidden")(nodes))
+        return Dense(self.num_logits, name="logits")(hidden)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
-from sg3d_jax.nn.apply import stacked
+from sg3d_jax.nn.apply import Dense, stacked
 from sg3d_jax.nn.contact import connect_contacts
 from sg3d_jax.nn.embed import Surface, relative_to_points, sinusoids, surface_of
 from sg3d_jax.nn.gine import GINE
@@ -76,11 +76,11 @@ class OldGraphEncoder(nn.Module):
         if self.kin:
             graph = connect_kin(graph, self.kin)
         encoding = GINE(self.width, self.layers, name="gine")(graph)
-        sender = nn.Dense(self.width, name="sender")(encoding.nodes)
-        receiver = nn.Dense(self.width, use_bias=False, name="receiver")(encoding.nodes)
-        pair = nn.Dense(self.width, use_bias=False, name="pair")(encoding.edges)
+        sender = Dense(self.width, name="sender")(encoding.nodes)
+        receiver = Dense(self.width, use_bias=False, name="receiver")(encoding.nodes)
+        pair = Dense(self.width, use_bias=False, name="pair")(encoding.edges)
         pair += jnp.take(sender, graph.senders, 0) + jnp.take(receiver, graph.receivers, 0)
-        values = nn.Dense(self.gates, name="gates")(nn.relu(pair)) * graph.edges.mask[:, None]
+        values = Dense(self.gates, name="gates")(nn.relu(pair)) * graph.edges.mask[:, None]
         dense = None
         if self.many_rows:
             num_nodes = graph.nodes.mask.shape[0]
@@ -136,7 +136,7 @@ class RectangleLayer(nn.Module):
         block, pairs = state
         num_block = block.shape[0]
         normed = nn.LayerNorm(name="pair_norm")(pairs)
-        projected = nn.Dense(self.gates + self.heads + self.pair_width, name="project")(normed)
+        projected = Dense(self.gates + self.heads + self.pair_width, name="project")(normed)
         claim, logits, hidden = jnp.split(projected, [self.gates, self.gates + self.heads], axis=-1)
         claim = claim * (token_mask[:num_block, None] & token_mask[None, :])[..., None]
         spread = propagate(conditioning.gates, claim[:, num_block:])
@@ -147,14 +147,14 @@ class RectangleLayer(nn.Module):
         logits = jnp.where(token_mask[None, :, None], logits, -1e9)
         weights = jax.nn.softmax(logits, axis=1)
         gathered = jnp.einsum("mth,mtp->mhp", weights, normed).reshape(num_block, -1)
-        block = block + nn.Dense(self.node_width, name="gathered")(gathered)
-        expanded = nn.Dense(2 * self.node_width, name="expand")(nn.LayerNorm(name="norm")(block))
-        block = block + nn.Dense(self.node_width, name="contract")(nn.relu(expanded))
+        block = block + Dense(self.node_width, name="gathered")(gathered)
+        expanded = Dense(2 * self.node_width, name="expand")(nn.LayerNorm(name="norm")(block))
+        block = block + Dense(self.node_width, name="contract")(nn.relu(expanded))
 
-        scale, shift = jnp.split(nn.Dense(2 * self.pair_width, name="film")(block), 2, axis=-1)
-        hidden += nn.Dense(self.pair_width, use_bias=False, name="context")(context)
+        scale, shift = jnp.split(Dense(2 * self.pair_width, name="film")(block), 2, axis=-1)
+        hidden += Dense(self.pair_width, use_bias=False, name="context")(context)
         hidden = nn.relu(hidden * (1 + scale[:, None]) + shift[:, None])
-        return (block, pairs + nn.Dense(self.pair_width, name="pair_out")(hidden)), None
+        return (block, pairs + Dense(self.pair_width, name="pair_out")(hidden)), None
 
 
 class RectangleTransformer(nn.Module):
@@ -193,12 +193,12 @@ class RectangleTransformer(nn.Module):
         clock = jnp.broadcast_to(sinusoids(time)[None], (num_block, 16))
         size = jnp.broadcast_to(jnp.sum(block_mask) / num_block, (num_block, 1))
         inputs = jnp.concatenate([concept, clock, size, count / 5.0], axis=-1)
-        block = nn.Dense(self.node_width, name="block")(inputs)
+        block = Dense(self.node_width, name="block")(inputs)
 
-        old = nn.Dense(self.pair_width, name="old")(conditioning.nodes)
-        own = nn.Dense(self.pair_width, use_bias=False, name="own")(block)
+        old = Dense(self.pair_width, name="old")(conditioning.nodes)
+        own = Dense(self.pair_width, use_bias=False, name="own")(block)
         geometry = relative_to_points(centre, conditioning.surface)
-        geometry = nn.Dense(self.pair_width, name="geometry")(geometry)
+        geometry = Dense(self.pair_width, name="geometry")(geometry)
         old_part = geometry + old[None] + own[:, None]
         new_part = own[:, None] + own[None, :]
         pairs = jnp.concatenate([new_part, old_part], axis=1)
@@ -209,8 +209,8 @@ class RectangleTransformer(nn.Module):
         layers = stacked(RectangleLayer, self.layers)(*sizes, name="layers")
         (block, pairs), _ = layers((block, pairs), conditioning, token_mask)
 
-        logits_label = nn.Dense(self.num_concepts, name="label")(nn.LayerNorm(name="out")(block))
-        logits_edge = nn.Dense(2, name="edge")(nn.relu(nn.LayerNorm(name="pair_out")(pairs)))
+        logits_label = Dense(self.num_concepts, name="label")(nn.LayerNorm(name="out")(block))
+        logits_edge = Dense(2, name="edge")(nn.relu(nn.LayerNorm(name="pair_out")(pairs)))
         return logits_label, block_symmetric(logits_edge)
 
 
@@ -230,11 +230,11 @@ class DistanceLayer(nn.Module):
         block, pairs = state
         tokens = jnp.concatenate([block, old], axis=0)
         message = nn.relu(nn.LayerNorm(name="norm")(pairs + tokens[None])) * linked
-        total = nn.Dense(self.width, name="message")(jnp.sum(message, axis=1))
+        total = Dense(self.width, name="message")(jnp.sum(message, axis=1))
         hidden = nn.relu(nn.LayerNorm(name="block_norm")(block + total))
-        block = block + nn.Dense(self.width, name="block")(hidden)
-        mixed = nn.relu(message + nn.Dense(self.width, name="mix")(block)[:, None])
-        return (block, pairs + nn.Dense(self.width, name="pairs")(mixed)), None
+        block = block + Dense(self.width, name="block")(hidden)
+        mixed = nn.relu(message + Dense(self.width, name="mix")(block)[:, None])
+        return (block, pairs + Dense(self.width, name="pairs")(mixed)), None
 
 
 class DistanceNetwork(nn.Module):
@@ -273,14 +273,14 @@ class DistanceNetwork(nn.Module):
         concept = jax.nn.one_hot(label, self.num_concepts)
         clock = jnp.broadcast_to(sinusoids(time)[None], (num_block, 16))
         block = jnp.concatenate([concept, clock, count / 5.0], axis=-1)
-        block = nn.Dense(self.width, name="block")(block)
-        old = nn.Dense(self.width, name="old")(conditioning.nodes)
+        block = Dense(self.width, name="block")(block)
+        old = Dense(self.width, name="old")(conditioning.nodes)
         to_old = relative_to_points(centre, conditioning.surface)
         points = Surface(centre, jnp.zeros_like(centre), jnp.zeros(num_block))
         geometry = jnp.concatenate([relative_to_points(centre, points), to_old], axis=1)
         inputs = jnp.concatenate([geometry, (distance * edges)[..., None]], axis=-1)
-        pairs = nn.Dense(self.width, name="pairs")(inputs)
+        pairs = Dense(self.width, name="pairs")(inputs)
         layers = stacked(DistanceLayer, self.layers)(self.width, name="layers")
         (_, pairs), _ = layers((block, pairs), old, linked)
-        predicted = nn.Dense(1, name="distance")(nn.relu(pairs))
+        predicted = Dense(1, name="distance")(nn.relu(pairs))
         return block_symmetric(predicted)[..., 0]

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
-from sg3d_jax.nn.apply import stacked
+from sg3d_jax.nn.apply import Dense, stacked
 from sg3d_jax.nn.embed import Surface, multiscale, relative_to_points, safe_norm, sinusoids
 from sg3d_jax.nn.graph_transformer import Conditioning, RectangleLayer, block_symmetric
 
@@ -69,14 +69,14 @@ class PositionUpdate(nn.Module):
     ) -> Float[Array, "M 3"]:
         """Returns the new positions, metres."""
         tokens = all_surfaces(position, old)
-        logits = nn.Dense(POSITION_HEADS, name="attend")(nn.relu(nn.LayerNorm(name="norm")(pairs)))
+        logits = Dense(POSITION_HEADS, name="attend")(nn.relu(nn.LayerNorm(name="norm")(pairs)))
         weights = jax.nn.softmax(jnp.where(token_mask[None, :, None], logits, -1e9), axis=1)
         towards = jnp.einsum("mth,tc->mhc", weights, tokens.position) - position[:, None]
         along = jnp.einsum("mth,tc->mhc", weights, tokens.normal)
         mean, _ = linked_mean(position, linked, tokens.position)
         vectors = jnp.concatenate([towards, along, (mean - position)[:, None]], axis=1)
         hidden = nn.LayerNorm(name="block_norm")(block)
-        gates = nn.Dense(vectors.shape[1], kernel_init=nn.initializers.zeros, name="gates")(hidden)
+        gates = Dense(vectors.shape[1], kernel_init=nn.initializers.zeros, name="gates")(hidden)
         return position + jnp.einsum("mv,mvc->mc", gates, vectors)
 
 
@@ -99,11 +99,11 @@ class RelaxedLayer(nn.Module):
         """Returns the new states of the block nodes and of the pairs, and the new positions."""
         block, pairs, position = state
         seen = relative_to_points(position, all_surfaces(position, conditioning.surface))
-        pairs += nn.Dense(self.pair_width, name="geometry")(seen)
+        pairs += Dense(self.pair_width, name="geometry")(seen)
         sizes = self.node_width, self.pair_width, self.heads, self.gates
         rectangle = RectangleLayer(*sizes, name="rectangle")
         (block, pairs), _ = rectangle((block, pairs), conditioning, token_mask)
-        back = nn.Dense(self.pair_width, use_bias=False, name="back")(block)
+        back = Dense(self.pair_width, use_bias=False, name="back")(block)
         pairs = pairs.at[:, : block.shape[0]].add(back[None])
         position = PositionUpdate(name="position")(
             position, block, pairs, linked, conditioning.surface, token_mask
@@ -153,13 +153,13 @@ class RelaxedTransformer(nn.Module):
         size = jnp.broadcast_to(jnp.sum(block_mask) / 10.0, (num_block, 1))
         radius = multiscale(safe_norm(position - centre[None])[:, None])
         inputs = jnp.concatenate([concept, clock, size, count / 5.0, radius], axis=-1)
-        block = nn.Dense(self.node_width, name="block")(inputs)
+        block = Dense(self.node_width, name="block")(inputs)
 
-        new = nn.Dense(self.pair_width, name="new")(block)
-        old = nn.Dense(self.pair_width, name="old")(conditioning.nodes)
-        own = nn.Dense(self.pair_width, use_bias=False, name="own")(block)
+        new = Dense(self.pair_width, name="new")(block)
+        old = Dense(self.pair_width, name="old")(conditioning.nodes)
+        own = Dense(self.pair_width, use_bias=False, name="own")(block)
         from_mean = relative_to_points(mean, tokens)
-        pairs = nn.Dense(self.pair_width, use_bias=False, name="from_mean")(from_mean)
+        pairs = Dense(self.pair_width, use_bias=False, name="from_mean")(from_mean)
         pairs += own[:, None] + jnp.concatenate([new, old])[None]
         link = self.param("link", nn.initializers.normal(1.0), (self.pair_width,))
         pairs += linked[..., None] * link[None, None]
@@ -169,6 +169,6 @@ class RelaxedTransformer(nn.Module):
         state = block, pairs, position
         (block, pairs, position), _ = layers(state, conditioning, linked, token_mask)
 
-        logits_label = nn.Dense(self.num_concepts, name="label")(nn.LayerNorm(name="out")(block))
-        logits_edge = nn.Dense(2, name="edge")(nn.relu(nn.LayerNorm(name="pair_out")(pairs)))
+        logits_label = Dense(self.num_concepts, name="label")(nn.LayerNorm(name="out")(block))
+        logits_edge = Dense(2, name="edge")(nn.relu(nn.LayerNorm(name="pair_out")(pairs)))
         return logits_label, block_symmetric(logits_edge), position
