@@ -28,7 +28,8 @@ import numpy as np
 
 from sg3d_jax.io.files import MAX_GRAPHS, read_bytes
 from sg3d_jax.io.networkx import read_nodes_and_edges
-from sg3d_jax.io.pickles import MAX_MEMORY, Asked, Name, read_pickle
+from sg3d_jax.io.pickle_words import Asked, Name
+from sg3d_jax.io.pickles import MAX_MEMORY, read_pickle
 from sg3d_jax.scene.graph import SceneGraph, subgraph
 
 EXPECTED: Final = "a pickled list of networkx graphs"
