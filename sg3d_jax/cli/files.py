@@ -61,7 +61,8 @@ def view(
     of_nodes = [node_confidence_of(read.attributes) for read in reads]
     of_edges = [read.edge_confidence for read in reads]
     called = [_names_of(read) for read in reads]
-    true = [] if truth is None else read_with_attributes(truth, place, len(graphs))
+    of_truth = None if truth is None else read_with_attributes(truth, place, len(graphs))
+    true = of_truth and [read.graph for read in of_truth]
     if is_page:
         save_page(
             graphs,
@@ -70,12 +71,12 @@ def view(
             node_confidence=of_nodes,
             edge_confidence=of_edges,
             node_names=called,
-            truth=[read.graph for read in true] if true else None,
-            truth_names=[_names_of(read) for read in true] if true else None,
+            truth=true,
+            truth_names=of_truth and [_names_of(read) for read in of_truth],
         )
         print(f"{output}: page of {counted(len(graphs))} of {source}")
     elif plan:
-        save_plan(graphs[0], output, called[0], of_nodes[0], true[0].graph if true else None)
+        save_plan(graphs[0], output, called[0], of_nodes[0], None if true is None else true[0])
         print(f"{output}: plan of {source}")
     else:
         save_picture(graphs[0], output, node_confidence=of_nodes[0], edge_confidence=of_edges[0])

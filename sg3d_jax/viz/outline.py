@@ -16,7 +16,7 @@ import numpy as np
 
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
 from sg3d_jax.viz.compare import is_missing, is_odd, matched
-from sg3d_jax.viz.style import are_segments, floor_of, plane_segments
+from sg3d_jax.viz.style import are_segments, called, floor_of, plane_segments
 
 PALETTE: Final = (
     "#77aadd",  # light blue
@@ -254,4 +254,4 @@ def caption_of(graph: SceneGraph, floor: int, names: Sequence[str], between: str
         return ""
     concepts, label = ontology_of(graph).names, graph.nodes.label
     wholes = [whole for part, whole in parts_first(graph).tolist() if part == floor]
-    return between.join(f"{concepts[label[row]]} {names[row]}" for row in (*wholes, floor))
+    return between.join(called(concepts[label[row]], names[row]) for row in (*wholes, floor))

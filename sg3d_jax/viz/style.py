@@ -235,3 +235,8 @@ def _pairs(graph: SceneGraph, upper: int, lower: int) -> tuple[np.ndarray, np.nd
     ends = np.concatenate([pairs, pairs[:, ::-1]])
     ends = ends[(label[ends[:, 0]] == upper) & (label[ends[:, 1]] == lower)]
     return ends[:, 0], ends[:, 1]
+
+
+def called(concept: str, name: int | str) -> str:
+    """Returns what a node is called: its concept and name, or the name alone if that says both."""
+    return str(name) if str(name).startswith(f"{concept}-") else f"{concept} {name}"

@@ -15,7 +15,9 @@ from sg3d_jax.scene.graph import SceneGraph, make_graph, subgraph
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Concept, Ontology, Rule
 from sg3d_jax.viz import plan
 from sg3d_jax.viz.figure import contact_sheet, draw_graph, save_picture
-from sg3d_jax.viz.page import graph_traces, hover_text, save_page
+from sg3d_jax.viz.hover import hover_text
+from sg3d_jax.viz.page import save_page
+from sg3d_jax.viz.space import graph_traces
 from sg3d_jax.viz.style import (
     AZIMUTH,
     floor_concept,

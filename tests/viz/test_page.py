@@ -14,7 +14,9 @@ import pytest
 
 from sg3d_jax.scene.graph import make_graph, subgraph
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM
-from sg3d_jax.viz.page import graph_traces, hover_text, save_page
+from sg3d_jax.viz.hover import hover_text
+from sg3d_jax.viz.page import save_page
+from sg3d_jax.viz.space import graph_traces
 from sg3d_jax.viz.style import EDGE_COLOUR, faded, lifted, styles_of
 from tests.viz.small_city import FLOORS, TOP, one_room, small_city
 

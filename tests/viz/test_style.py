@@ -10,6 +10,7 @@ from sg3d_jax.scene.ontology import BUILDING, PAPER_ONTOLOGY, PLANE
 from sg3d_jax.scene.validate import validate_graph
 from sg3d_jax.viz.style import (
     AZIMUTH,
+    called,
     check_confidence,
     crowding,
     faded,
@@ -165,3 +166,10 @@ def test_confidence_of_another_number_of_nodes_or_edges_is_refused():
         check_confidence(one_room(), np.ones(4), None)
     with pytest.raises(ValueError, match=r"edge_confidence has shape \[7\], expected \[4\]"):
         check_confidence(one_room(), np.ones(5), np.ones(7))  # proximity has none
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [(7, "room 7"), ("room-7", "room-7"), ("roomy", "room roomy")]
+)
+def test_a_node_is_called_by_its_concept_once(name, expected):
+    assert called("room", name) == expected
