@@ -22,6 +22,8 @@ def optimised():
 
 def test_quick_options__are_for_processors(optimised, monkeypatch):
     assert quick_options() == {"xla_backend_optimization_level": 1}
+    older = {"xla_cpu_use_fusion_emitters"} if jax.__version_info__ < (0, 11) else set()
+    assert quick_options(growing=True).keys() - quick_options().keys() == older
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert quick_options() is None
 
