@@ -1,7 +1,6 @@
 """What most candidates have is kept, part by part; what was given stays as it is."""
 
 import dataclasses
-import itertools
 
 import numpy as np
 import numpy.testing as npt
@@ -9,7 +8,7 @@ import pytest
 
 from sg3d_jax.data import registry
 from sg3d_jax.infer.candidates import num_flaws
-from sg3d_jax.infer.consensus import Version, consensus, elected
+from sg3d_jax.infer.consensus import Version, consensus, divided_alike, elected
 from sg3d_jax.metrics.calibration import identities
 from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import make_graph, ontology_of, subgraph, undirected_edges
@@ -20,6 +19,12 @@ from tests.two_rooms import NUM_PLANES, two_rooms
 
 A, B, C, D = (0, 1), (2, 3), (4, 5), (6, 7)
 WALLS = [(1, 4), (3, 6)]
+
+
+def in_turn(graphs):
+    """Returns the graphs from each of them on, forwards and backwards: of three, every order."""
+    ways = graphs, graphs[::-1]
+    return [[*way[first:], *way[:first]] for way in ways for first in range(len(graphs))]
 
 
 def room(*planes, row=-1):
@@ -34,7 +39,7 @@ def test_candidates_that_are_all_wrong_elsewhere_are_right_together():
         drawn(A, B, C, D, walls=[(1, 4, 6)]),
     ]
     assert not any(exact_structure(one, truth) for one in wrong)
-    for order in itertools.permutations(wrong):
+    for order in in_turn(wrong):
         graph, _ = consensus(order, NUM_PLANES)
         assert exact_structure(graph, truth)
 
@@ -64,7 +69,7 @@ def test_a_plane_that_most_place_is_not_left_alone():
         drawn((0, 1, 2), (3,), (4, 5, 6, 7)),
         drawn((0, 1, 2), (4, 5, 6, 7)),
     ]
-    for order in itertools.permutations(graphs):
+    for order in in_turn(graphs):
         graph, _ = consensus(order, NUM_PLANES)
         assert exact_structure(graph, graphs[0]) or exact_structure(graph, graphs[1])
     clutter = drawn((0, 1, 2), (4, 5, 6, 7))
@@ -77,7 +82,7 @@ def test_rooms_are_exchanged_together_so_that_no_plane_has_two_or_none():
     thirds = [drawn((0,), (1, 2, 3, 4, 5), D), drawn((0, 1), (2, 3, 4, 5), D)]
     thirds.append(drawn((0, 1, 2), (3, 4, 5), D))
     whole = drawn((0, 1, 2, 3, 4, 5), D)
-    for order in itertools.permutations([*thirds, whole, whole]):
+    for order in in_turn([*thirds, whole, whole]):
         graph, _ = consensus(order, NUM_PLANES)
         assert exact_structure(graph, whole)
 
@@ -87,7 +92,7 @@ def test_a_candidate_with_another_room_there_still_says_which_floor_it_is_on():
     rooms = [((0, 1, 2), (3,)), ((0,), (1, 2, 3)), ((0, 1), (2, 3))]
     graphs = [drawn(*pair, C, D, floors=[(0, 1), (2, 3)]) for pair in rooms]
     graphs.append(drawn(*rooms[0], C, D, floors=[(0, 1, 2, 3)]))
-    for order in itertools.permutations(graphs):
+    for order in in_turn(graphs):
         graph, _ = consensus(order, NUM_PLANES)
         assert exact_structure(graph, graphs[0])
 
@@ -117,7 +122,7 @@ def test_other_concepts_are_put_to_the_vote_too():
     world = own_world()
     observed, last = int(world.nodes.observed.sum()), len(world.nodes.label) - 1
     wrong = [with_pairs(world, lost=[(12, 15)]), with_pairs(world, lost=[(13, 16)])]
-    for order in itertools.permutations([*wrong, subgraph(world, range(last)), world]):
+    for order in in_turn([*wrong, subgraph(world, range(last)), world]):
         graph, _ = consensus(order, observed)
         assert exact_structure(graph, world)
         assert ontology_of(graph) == ontology_of(world)
@@ -156,7 +161,7 @@ def test_a_candidate_with_other_planes_there_still_says_what_stands_in_a_room():
     expected = with_pairs(world, lost=[(13, 16)])
     graphs = [with_pairs(world, lost=[(12, 15)]), expected]
     graphs.append(with_pairs(expected, lost=[(0, 15)], new=[(0, 16)]))
-    for order in itertools.permutations(graphs):
+    for order in in_turn(graphs):
         graph, _ = consensus(order, NUM_OBSERVED)
         assert exact_structure(graph, expected)
 
@@ -181,7 +186,7 @@ def test_nodes_that_were_given_stay_and_get_the_parts_that_most_give_them():
 
     right = grown(B, C, D)
     wrong = [grown(B + C, D), grown(B, C + D), grown(B, C, D, walls=[(1, 4)])]
-    for order in itertools.permutations(wrong):
+    for order in in_turn(wrong):
         graph, _ = consensus(order, 10)
         assert graph.nodes.label.tolist() == [*label, ROOM, ROOM, ROOM]
         assert exact_structure(graph, right)
@@ -259,3 +264,52 @@ def test_wholes_that_are_elected_have_no_part_in_common_and_all_parts_a_whole(se
         chosen = elected(ballots, start)
         parts = [part for version in chosen for part in version.parts]
         assert sorted(parts) == [*range(12)]
+
+
+# A wall between one room and two others: one, or two; here, and elsewhere in the scene.
+LUMP, PAIRS = {room(0, 1, 2)}, {room(0, 1), room(0, 2)}
+LUMP_THERE, PAIRS_THERE = {room(3, 4, 5)}, {room(3, 4), room(3, 5)}
+APART = [*range(6)]  # the side of each plane
+
+
+def test_walls_are_divided_as_most_of_the_scene_is():
+    fine, coarse = PAIRS | PAIRS_THERE, LUMP | LUMP_THERE
+    lumped, divided = LUMP | PAIRS_THERE, PAIRS | LUMP_THERE
+    assert divided_alike([lumped, lumped, fine], [APART] * 3, 2) == [fine] * 3
+    assert divided_alike([divided, divided, coarse], [APART] * 3, 2) == [coarse] * 3
+    wider = {room(0, 1, 2, 6)} | LUMP_THERE
+    assert divided_alike([divided, wider, wider, coarse], [[*range(7)]] * 4, 2)[0] == wider
+    assert divided_alike([LUMP, PAIRS], [APART] * 2, 2) == [LUMP, PAIRS]  # as many say either
+
+
+def test_what_a_whole_is_divided_into_is_divided_again():
+    whole, half = {room(0, 1, 2, 3)}, {room(0, 1, 2), room(0, 3)}
+    fine = PAIRS | {room(0, 3)}
+    ballots = divided_alike([whole, half, fine | PAIRS_THERE], [APART] * 3, 2)
+    assert ballots == [fine, fine, fine | PAIRS_THERE]
+
+
+def test_a_wall_with_two_planes_of_one_room_is_not_coarse():
+    assert divided_alike([LUMP, PAIRS, PAIRS], [[0, 1, 1]] * 3, 2) == [LUMP, PAIRS, PAIRS]
+
+
+def test_wholes_that_are_given_are_not_exchanged():
+    given = {room(0, 1, 2, row=6)}
+    assert divided_alike([given, PAIRS, PAIRS], [APART] * 3, 2)[0] == given
+    one_given = {room(0, 1, row=6), room(0, 2)}
+    assert divided_alike([one_given, LUMP, LUMP], [APART] * 3, 2)[0] == one_given
+
+
+@pytest.mark.parametrize(
+    ("truth", "other"),
+    [
+        ([(0, 2), (0, 4), (1, 3), (1, 6)], [(0, 2, 4), (1, 3), (1, 6)]),
+        ([(0, 2, 4), (1, 3, 6)], [(0, 2), (0, 4), (1, 3, 6)]),
+    ],
+    ids=["finely", "coarsely"],
+)
+def test_a_wall_that_most_divide_otherwise_than_the_scene_is_as_in_the_scene(truth, other):
+    right, wrong = (drawn(A, B, C, D, walls=walls) for walls in (truth, other))
+    for order in in_turn([wrong, wrong, right]):
+        graph, _ = consensus(order, NUM_PLANES)
+        assert exact_structure(graph, right)
