@@ -12,7 +12,10 @@ from jax.sharding import Mesh
 from sg3d_jax import cli
 from sg3d_jax.infer import lanes
 from sg3d_jax.metrics import report
-from tests import conftest  # noqa: F401  JAX as the tests have it
+from tests import (
+    at_random,
+    conftest,  # noqa: F401  JAX as the tests have it
+)
 
 
 def total(made, truth, pieces):
@@ -25,6 +28,7 @@ def total(made, truth, pieces):
 def main(arguments):
     jax.config.update("jax_debug_key_reuse", False)
     jax.config.update("jax_num_cpu_devices", 2 + 2 * int(arguments[-1]))
+    at_random.register()
     report.score = total
     lanes.lane_mesh = lambda: Mesh(np.array(jax.local_devices()), ("lanes",))
     cli.main(arguments)

@@ -20,6 +20,7 @@ from tests.command_line import (
     observed,
     refusal,
     run,
+    weights_at_random,
     write,
     write_lines,
 )
@@ -28,7 +29,8 @@ from tests.tiny_run import small_floors, untrained_weights
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    return str(untrained_weights(tmp_path_factory.mktemp("weights")))
+    with weights_at_random(tmp_path_factory.mktemp("weights")) as path:
+        yield str(path)
 
 
 @pytest.fixture(autouse=True)

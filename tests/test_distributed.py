@@ -13,9 +13,9 @@ import pytest
 from sg3d_jax import distributed
 from sg3d_jax.distributed import gathered, initialise, is_first, own_file, share
 from sg3d_jax.metrics import report
-from tests.command_line import documents, run
+from tests.command_line import documents, run, weights_at_random
 from tests.one_of_two import total
-from tests.tiny_run import ROOT, untrained_weights
+from tests.tiny_run import ROOT
 
 
 @pytest.fixture
@@ -85,8 +85,8 @@ def test_two_processes__come_to_what_one_comes_to(tmp_path, monkeypatch, capsys)
     """Each deals its share of the scenes to its devices, of which one has two and one has four."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(report, "score", total)
-    command = ["evaluate", str(untrained_weights(tmp_path)), "--split", "all", "--num-graphs", "5"]
-    with jax.debug_key_reuse(False):
+    with weights_at_random(tmp_path) as weights, jax.debug_key_reuse(False):
+        command = ["evaluate", str(weights), "--split", "all", "--num-graphs", "5"]
         run(*command, "-o", "a.json", "--graphs", "graphs.jsonl")
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = f"127.0.0.1:{free.getsockname()[1]}"

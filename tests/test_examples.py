@@ -1,9 +1,11 @@
 """The examples are scenes that anyone can complete, and scripts that anyone can run."""
 
 import dataclasses
+import functools
 import importlib.util
 import json
 import re
+import runpy
 import shutil
 from pathlib import Path
 
@@ -24,7 +26,7 @@ from sg3d_jax.scene.graph import ontology_of
 from sg3d_jax.scene.padding import Capacity
 from sg3d_jax.scene.validate import check_observed, validate_graph
 from sg3d_jax.train import checkpoint, loop
-from sg3d_jax.train.methods import METHODS, build_model
+from sg3d_jax.train.methods import METHODS, build_model, register_fill
 from sg3d_jax.train.step import TrainState
 from sg3d_jax.train.weights import save_weights
 from tests.command_line import documents, refusal, run
@@ -131,7 +133,7 @@ def test_own_concept__starts_from_weights_that_do_not_know_it_and_learns(tmp_pat
 
 def windows_of(params, rows=1):
     """Returns the weights of the input that tells windows, or of several, in a module."""
-    return np.asarray(params["params"]["gine"]["nodes"]["kernel"][rows])
+    return np.asarray(params["params"]["gine"]["nodes"]["kernel"])[rows]
 
 
 def built(config, graph):
@@ -146,8 +148,19 @@ def built(config, graph):
 
 @pytest.fixture(scope="module")
 def own_run(tmp_path_factory):
-    """A folder with a run of `own_fill.py`, and that run as its first checkpoint left it."""
+    """A folder with a run of `own_fill.py`, and that run as its first checkpoint left it.
+
+    The file is run once; the classes that later commands register are then those of that run, and
+    so are their compiled programs.
+    """
     save, folder = checkpoint.save, tmp_path_factory.mktemp("own_fill")
+    run_once = functools.cache(runpy.run_path)
+
+    def run_path(path):
+        made = run_once(path)
+        if path == str(OWN_FILL):
+            register_fill("anchor", made["AnchorConfig"], made["AnchorFill"])
+        return made
 
     def save_and_copy(*arguments):
         save(*arguments)
@@ -155,12 +168,14 @@ def own_run(tmp_path_factory):
             shutil.copytree("run", "cut_short")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setattr(checkpoint, "save", save_and_copy)
-        npz.save(folder / "floors.npz", small_floors(), registry.header("s-f-square"))
-        run("train", OWN_FILL, *SHORT, "-o", "run")
-    del METHODS["anchor"]
-    return folder
+        patch.setattr(runpy, "run_path", run_path)
+        with pytest.MonkeyPatch.context() as first:
+            first.chdir(folder)
+            first.setattr(checkpoint, "save", save_and_copy)
+            npz.save(folder / "floors.npz", small_floors(), registry.header("s-f-square"))
+            run("train", OWN_FILL, *SHORT, "-o", "run")
+        del METHODS["anchor"]
+        yield folder
 
 
 @pytest.fixture

@@ -74,6 +74,7 @@ def _folder(module: Path) -> str:
     return module.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
+@functools.cache
 def _imports(module: Path) -> set[str]:
     """Returns the dotted names that a module imports, anywhere in it, `from a import b` as a.b."""
     names: set[str] = set()

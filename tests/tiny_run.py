@@ -89,32 +89,20 @@ MODELS: Final[Mapping[str, Any]] = MappingProxyType(
 )
 
 
-def tiny_config(folder: Path) -> Config:
-    """Returns a run on `small_floors`, which it writes into a folder."""
-    path = folder / "floors.npz"
+def shortest_run(folder: Path, method: str) -> Config:
+    """Returns a run of two steps of any method on `small_floors`, which it writes into a folder."""
+    path, config = folder / "floors.npz", read_config("test")
     npz.save(path, small_floors(), registry.header("s-f-square"))
     return dataclasses.replace(
-        read_config("test"),
-        data=DataConfig(name=str(path)),
-        optimiser=OptimiserConfig(learning_rate=1e-2, warmup_steps=2),
-        steps=24,
-        steps_per_call=4,
-        batch=2,
-        capacities=(NODES,),
-        validate_every=12,
-    )
-
-
-def shortest_run(folder: Path, method: str) -> Config:
-    """Returns a run of two steps of any method on `small_floors`."""
-    config = tiny_config(folder)
-    return dataclasses.replace(
         config,
+        data=DataConfig(name=str(path)),
         model=MODELS[method],
         flagg=config.flagg if METHODS[method].grows else None,
         optimiser=OptimiserConfig(warmup_steps=1),
         steps=2,
         steps_per_call=2,
+        batch=2,
+        capacities=(NODES,),
         validate_every=2,
     )
 

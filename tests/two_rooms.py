@@ -127,7 +127,7 @@ def with_garbage(graph: SceneGraph, seed: int) -> SceneGraph:
 
     def spoilt(real: jax.Array, mask: np.ndarray, nonsense: np.ndarray) -> jax.Array:
         mask = mask.reshape(-1, *[1] * (real.ndim - 1))
-        return jnp.asarray(np.where(mask, real, nonsense), real.dtype)
+        return jnp.asarray(np.where(mask, real, nonsense).astype(real.dtype))
 
     nodes, edges = graph.nodes, graph.edges
     labels = rng.integers(ontology_of(graph).num_concepts, size=num_nodes)
@@ -151,4 +151,7 @@ def random_params(init: Callable[..., Any], *inputs: Any, seed: int = 0) -> Any:
     """Returns parameters of the shapes of `init(key, *inputs)`, without compiling initialisers."""
     shapes = jax.eval_shape(init, jax.random.key(0), *inputs)
     rng = np.random.default_rng(seed)
-    return jax.tree.map(lambda leaf: jnp.asarray(rng.normal(0, 0.4, leaf.shape), "f"), shapes)
+    # Cast by numpy: JAX compiles a program for each shape.
+    return jax.tree.map(
+        lambda leaf: jnp.asarray(np.asarray(rng.normal(0, 0.4, leaf.shape), "f")), shapes
+    )

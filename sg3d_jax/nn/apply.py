@@ -44,7 +44,7 @@ class Dense(nn.Module):
             return self.param(name, init, shape)
         value = self.get_variable("params", name)
         if value.shape != shape:
-            raise errors.ScopeParamShapeError(name, "/".join(self.path), value.shape, shape)
+            raise errors.ScopeParamShapeError(name, "/" + "/".join(self.path), value.shape, shape)
         return value
 
 

@@ -25,7 +25,7 @@ run = jax.jit(lambda graph: (absolute_features(graph, SCALES), relative_features
 
 def real(values, graph):
     """Keeps what belongs to planes and to the proximity edges between them."""
-    (planes, near), (plane, pair) = values
+    ((planes, near), (plane, pair)), graph = jax.tree.map(np.asarray, (values, graph))
     is_near, is_plane = near_planes(graph).mask, graph.nodes.label == PLANE
     is_plane &= graph.nodes.mask
     return planes[is_plane], near[is_near], plane[is_plane], pair[is_near]
@@ -53,7 +53,8 @@ def test_segment_distance__is_that_of_the_segments_of_the_planes():
     one, other = np.triu_indices(40, 1)
     expected = [lines[i].distance(lines[j]) for i, j in zip(one, other, strict=True)]
     assert 20 < np.count_nonzero(np.array(expected) == 0) < 700
-    found = segment_distance(segments(position, angle, width), jnp.asarray(one), jnp.asarray(other))
+    ends = jnp.asarray(one), jnp.asarray(other)
+    found = jax.jit(segment_distance)(segments(position, angle, width), *ends)
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
@@ -69,14 +70,15 @@ def test_relative_features__tell_how_a_plane_lies_to_another(position, angle, ex
     normal = [[1, 0, 0], [np.cos(angle), np.sin(angle), 0]]
     pair = make_graph([PLANE] * 2, [[0, 0, 0], [*position, 0]], normal, [2, 4], [], [(0, 1)])
     plane, edge = run(on_device(pair))[1]
-    np.testing.assert_allclose(edge[0], expected, atol=1e-5)
-    np.testing.assert_allclose(plane[:2, 0], [0.4, 0.8], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(edge)[0], expected, atol=1e-5)
+    np.testing.assert_allclose(np.asarray(plane)[:2, 0], [0.4, 0.8], atol=1e-6)
 
 
 def test_absolute_features__of_a_plane_and_of_an_edge_from_it():
     position, normal = [[1, 2, 0], [4, -1, 5]], [[1, 0, 0], [0, -1, 0]]
     pair = make_graph([PLANE] * 2, position, normal, [2, 5], [], [(0, 1)])
     plane, edge = run(on_device(pair))[0]
+    plane, edge = np.asarray(plane), np.asarray(edge)
     np.testing.assert_allclose(plane[:2], [[0.25, 1, 0.5], [1, 0.5, 0]], atol=1e-6)
     gap = np.hypot(0.5, 2) / 10  # from (1, 1) to (1.5, -1)
     np.testing.assert_allclose(edge[0], [gap, (-3 + 10) / 20, (3 + 10) / 20], atol=1e-5)
@@ -95,10 +97,10 @@ def test_relative_features__do_not_see_where_the_building_stands__absolute_ones_
 
 def test_scales__are_of_planes_and_of_those_that_are_near():
     graphs = stack([SCENE, moved(SCENE, 1.0)], CAPACITY)
-    spoilt = jax.tree.map(lambda leaf: leaf[None], with_garbage(on_device(SCENE), 0))
-    nodes, graph = SCENE.nodes, on_device(SCENE)
-    senders, receivers, near = near_planes(graph)
-    offset = (nodes.position[senders] - nodes.position[receivers])[np.asarray(near)]
+    spoilt = jax.tree.map(lambda leaf: np.asarray(leaf)[None], with_garbage(on_device(SCENE), 0))
+    nodes = SCENE.nodes
+    senders, receivers, near = near_planes(jax.tree.map(np.asarray, on_device(SCENE)))
+    offset = (nodes.position[senders] - nodes.position[receivers])[near]
     expected = (
         nodes.width[:NUM_PLANES].min(),
         nodes.width.max(),

@@ -53,6 +53,8 @@ SCENE = two_rooms()
 NUM_NEW = len(SCENE.nodes.label) - NUM_PLANES
 NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
 MODEL = MiDiOracle(SIZES, STATISTICS)
+schedules_of = jax.jit(make_schedules, static_argnums=0)
+adjacency_of = jax.jit(part_of_adjacency)
 
 
 class Certain(RelaxedTransformer):
@@ -80,15 +82,14 @@ def test_every_parameter__is_trained(params):
 
 
 @jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
-@pytest.mark.parametrize(("steps", "resamplings"), [(STEPS, 0), (MOST_STEPS, 2)])
-def test_samples__have_the_planes_bit_for_bit_and_as_many_nodes_as_told(params, steps, resamplings):
-    config = dataclasses.replace(
-        SIZES, diffusion_steps=steps, sampling_steps=steps, resamplings=resamplings
-    )
+def test_samples__have_the_planes_bit_for_bit_and_as_many_nodes_as_told(params):
+    steps = {"diffusion_steps": MOST_STEPS, "sampling_steps": MOST_STEPS, "resamplings": 2}
+    config = dataclasses.replace(SIZES, **steps)
     model = MiDiOracle(config, STATISTICS)
-    planes = on_device(observed_of(SCENE))
+    planes, sample = on_device(observed_of(SCENE)), jax.jit(model.sample)
     for number in (1, NUM_NEW):
-        grown = jax.jit(model.sample)(params, jax.random.key(2), planes, jnp.asarray(number))
+        grown = sample(params, jax.random.key(2), planes, jnp.asarray(number))
+        grown = jax.tree.map(np.asarray, grown)
         assert grown.halt_reason == ONE_SHOT
         chex.assert_tree_all_finite(grown.graph)
         for found, given in zip(grown.graph.nodes, planes.nodes, strict=True):
@@ -102,8 +103,7 @@ def test_samples__have_the_planes_bit_for_bit_and_as_many_nodes_as_told(params, 
 @jax.debug_key_reuse(False)
 def test_a_certain_network__gives_the_scene(monkeypatch, params):
     monkeypatch.setattr(midi, "RelaxedTransformer", Certain)
-    model = MiDiOracle(dataclasses.replace(SIZES, resamplings=1), STATISTICS)
-    [[grown]] = complete(model, params, [SCENE])
+    [[grown]] = complete(MiDiOracle(SIZES, STATISTICS), params, [SCENE], candidates=1)
     assert (grown.halt_reason, grown.steps) == ("ONE_SHOT", 1)
     np.testing.assert_array_equal(grown.graph.nodes.label, SCENE.nodes.label)
     np.testing.assert_allclose(grown.graph.nodes.position, SCENE.nodes.position, atol=1e-5)
@@ -114,16 +114,20 @@ def test_a_certain_network__gives_the_scene(monkeypatch, params):
     assert found == expected
 
 
+@jax.jit
+def inpainted(key, planes, signal):
+    """Draws the positions of planes with noise many times."""
+    frame = Frame(jnp.ones(3), jnp.float32(2.5))
+    keys = jax.random.split(key, 3000)
+    return jax.vmap(lambda key: inpaint(key, planes, frame, signal).nodes.position)(keys)
+
+
 @pytest.mark.parametrize("time", [0, 120, 500])
 def test_inpainted_planes__are_the_truth_with_the_noise_of_their_time(time):
-    signal = make_schedules(MiDiOracleConfig()).at(jnp.asarray(time))
-    planes, frame = on_device(observed_of(SCENE)), Frame(jnp.ones(3), jnp.float32(2.5))
-
-    def position_of(key):
-        return inpaint(key, planes, frame, signal).nodes.position[:NUM_PLANES]
-
-    keys = jax.random.split(jax.random.key(3), 3000)
-    drawn = np.asarray(jax.jit(jax.vmap(position_of))(keys), np.float64)
+    schedules = schedules_of(MiDiOracleConfig())
+    signal = jax.tree.map(lambda levels: np.asarray(levels)[time], schedules)
+    planes = on_device(observed_of(SCENE))
+    drawn = np.asarray(inpainted(jax.random.key(3), planes, signal), np.float64)[:, :NUM_PLANES]
     level = float(signal.position)
     clean = np.asarray(planes.nodes.position[:NUM_PLANES], np.float64)
     np.testing.assert_allclose(drawn.mean(axis=0), 1 + level**2 * (clean - 1), atol=0.08 * level)
@@ -149,15 +153,18 @@ def test_a_sample__is_that_of_a_loop_that_undoes_each_step_and_takes_it_again(mo
     monkeypatch.setattr(midi, "apply", drawn_to_planes)
     config = dataclasses.replace(SIZES, diffusion_steps=9, sampling_steps=3, resamplings=1)
     model, params = MiDiOracle(config, STATISTICS), {"encoder": None, "denoiser": None}
-    planes, schedules = observed(SCENE), make_schedules(config)
-    frame = midi.frame_of(planes, STATISTICS)
-    mask = jnp.arange(one_shot_capacity(CAPACITY.nodes)) < NUM_NEW
+    planes = observed(SCENE)
+    mask = jnp.asarray(np.arange(one_shot_capacity(CAPACITY.nodes)) < NUM_NEW)
     known = mask, planes.nodes.mask, STATISTICS.marginals
-    rules = rules_of(planes, len(mask), last=True)
 
     @jax.jit
-    def draw(key, state, now, then):
-        at_now, at_then = schedules.at(now), schedules.at(then)
+    def begin(key):
+        rules = rules_of(planes, len(mask), last=True)
+        return midi.draw_start(key, *known), midi.frame_of(planes, STATISTICS), rules
+
+    @jax.jit
+    def draw(key, state, frame, rules, now, then):
+        at_now, at_then = (make_schedules(config).at(time) for time in (now, then))
         between = Schedules(*(one / other for one, other in zip(at_now, at_then, strict=True)))
         key_planes, key_draw, key_undo = jax.random.split(key, 3)
         shown = as_it_is_shown(None, None, inpaint(key_planes, planes, frame, at_now))
@@ -168,14 +175,19 @@ def test_a_sample__is_that_of_a_loop_that_undoes_each_step_and_takes_it_again(mo
 
     key = jax.random.key(5)
     key_start, key_steps, key_last = jax.random.split(key, 3)
-    state, keys = jax.jit(midi.draw_start)(key_start, *known), jax.random.split(key_steps, 3)
+    state, *scene = begin(key_start)
+    keys = jax.random.split(key_steps, 3)
     for step, times in enumerate([(9, 6), (6, 3), (3, 0)]):
         first, again = jax.random.split(keys[step], 2)
-        _, undone, _ = draw(first, state, *map(jnp.asarray, times))
-        state, _, logits = draw(again, undone, *map(jnp.asarray, times))
-    settle = jax.jit(lambda key, *drawn: digress.settled(key, *drawn, mask, rules))
-    topology, mask = settle(key_last, state.topology, logits)
-    expected = midi.to_block(state._replace(topology=topology), frame, mask)
+        _, undone, _ = draw(first, state, *scene, *map(jnp.asarray, times))
+        state, _, logits = draw(again, undone, *scene, *map(jnp.asarray, times))
+
+    @jax.jit
+    def end(key, state, logits, frame, rules):
+        topology, settled = digress.settled(key, state.topology, logits, mask, rules)
+        return midi.to_block(state._replace(topology=topology), frame, settled)
+
+    expected = end(key_last, state, logits, *scene)
     grown = jax.jit(model.sample)(params, key, planes, jnp.asarray(NUM_NEW)).graph.nodes
     new = slice(NUM_PLANES, NUM_PLANES + NUM_NEW)
     np.testing.assert_array_equal(grown.label[new], expected.label[:NUM_NEW])
@@ -203,7 +215,8 @@ def test_training__shows_planes_with_the_noise_of_the_time_of_the_block(monkeypa
 
 
 def test_the_signal_of_the_last_of_so_many_steps__is_one():
-    assert make_schedules(MiDiOracleConfig(diffusion_steps=MOST_STEPS)).position[1] == 1
+    schedules = schedules_of(MiDiOracleConfig(diffusion_steps=MOST_STEPS))
+    assert np.asarray(schedules.position)[1] == 1
 
 
 def test_the_room_for_new_nodes__is_enough_for_the_scene():
@@ -211,15 +224,15 @@ def test_the_room_for_new_nodes__is_enough_for_the_scene():
 
 
 def test_one_shot__leaves_the_planes_and_takes_all_else_as_one_block():
-    graph = on_device(SCENE)
+    graph = jax.tree.map(np.asarray, on_device(SCENE))
     cut = jax.tree.map(np.asarray, jax.jit(one_shot_cut)(graph))
     num_nodes, num_block = len(graph.nodes.mask), one_shot_capacity(len(graph.nodes.mask))
-    truth = np.asarray(part_of_adjacency(graph))
+    truth = np.asarray(adjacency_of(graph))
     np.testing.assert_array_equal(cut.survivors.nodes.mask, np.arange(num_nodes) < NUM_PLANES)
     np.testing.assert_array_equal(
         undirected_edges(cut.survivors, PROXIMITY), undirected_edges(SCENE, PROXIMITY)
     )
-    assert not part_of_adjacency(cut.survivors).any()
+    assert not np.asarray(adjacency_of(cut.survivors)).any()
     assert len(cut.block.mask) == num_block
     np.testing.assert_array_equal(np.flatnonzero(cut.block.mask), range(NUM_NEW))
     high = slice(NUM_PLANES, NUM_PLANES + NUM_NEW)
@@ -232,10 +245,10 @@ def test_one_shot__leaves_the_planes_and_takes_all_else_as_one_block():
 
 
 def test_one_shot__is_refused_where_a_bucket_has_no_room():
-    graphs = jax.tree.map(lambda leaf: leaf[None], on_device(SCENE))
+    graphs = jax.tree.map(lambda leaf: np.asarray(leaf)[None], on_device(SCENE))
     check_one_shot([graphs])
-    observed = jnp.arange(graphs.nodes.label.shape[1])[None] < 3
-    nodes = graphs.nodes._replace(label=jnp.where(observed, PLANE, ROOM), observed=observed)
+    observed = np.arange(graphs.nodes.label.shape[1])[None] < 3
+    nodes = graphs.nodes._replace(label=np.where(observed, PLANE, ROOM), observed=observed)
     crowded = graphs._replace(nodes=nodes)
     with pytest.raises(
         ValueError, match="bucket of 16 nodes has 9 that are not planes, expected at"

@@ -11,6 +11,7 @@ from sg3d_jax.data.wide import G_B, G_C, G_F, WideConfig
 from sg3d_jax.scene.graph import parts_first
 from sg3d_jax.scene.ontology import BUILDING, FLOOR, PLANE, ROOM, WALL
 from sg3d_jax.scene.validate import validate_graph
+from tests.unchecked import unchecked
 
 EVEN = replace(G_F, lined=0.0, thick_walls=0.0, cut_floors=0.5)  # one thickness a floor
 NUM_FLOORS = 250
@@ -18,12 +19,14 @@ NUM_FLOORS = 250
 
 @pytest.fixture(scope="module")
 def floors():
-    return [make_scene(G_F, 0, index) for index in range(NUM_FLOORS)]
+    with unchecked():
+        return [make_scene(G_F, 0, index) for index in range(NUM_FLOORS)]
 
 
 @pytest.fixture(scope="module")
 def cities():
-    return [make_scene(G_C, 0, index) for index in range(60)]
+    with unchecked():
+        return [make_scene(G_C, 0, index) for index in range(60)]
 
 
 def children(graph, parent, child):
@@ -57,6 +60,12 @@ def rooms_of(graph):
     return np.array(shapes)
 
 
+@pytest.fixture(scope="module")
+def rooms_of_floors(floors):
+    """The rooms of some of the floors."""
+    return [rooms_of(graph) for graph in floors[:120]]
+
+
 def num_nodes(graphs):
     return np.array([len(graph.nodes.label) for graph in graphs])
 
@@ -64,10 +73,9 @@ def num_nodes(graphs):
 # --- rooms and walls ---
 
 
-def test_planes_of_a_room_close_around_its_centroid_and_look_into_it(floors):
-    for graph in floors[:120]:
+def test_planes_of_a_room_close_around_its_centroid_and_look_into_it(floors, rooms_of_floors):
+    for graph, rooms in zip(floors, rooms_of_floors, strict=False):
         nodes, ends = graph.nodes, ends_of(graph)
-        rooms = rooms_of(graph)
         centre = nodes.position[nodes.label == ROOM, :2]
         np.testing.assert_allclose(
             shapely.get_coordinates(shapely.centroid(rooms)), centre, atol=1e-4
@@ -78,17 +86,17 @@ def test_planes_of_a_room_close_around_its_centroid_and_look_into_it(floors):
             assert not shapely.intersects(shape, shapely.points(middle - 0.01 * normal)).any()
 
 
-def test_rooms_keep_clear_of_each_other(floors):
-    for graph in floors[:120]:
-        rooms = rooms_of(graph)
+def test_rooms_keep_clear_of_each_other(rooms_of_floors):
+    for rooms in rooms_of_floors:
         one, other = shapely.STRtree(rooms).query(rooms, "dwithin", 0.045)
         assert (one == other).all()
 
 
 def test_gaps_of_walls_are_as_thick_as_drawn():
     thickest = []
-    for index in range(80):
-        graph = make_scene(EVEN, 0, index)
+    with unchecked():
+        graphs = [make_scene(EVEN, 0, index) for index in range(80)]
+    for graph in graphs:
         nodes = graph.nodes
         gaps = []
         for planes in children(graph, WALL, PLANE):
@@ -120,7 +128,7 @@ def test_a_wall_has_planes_of_several_rooms_and_a_plane_one_wall(floors):
     assert most > 10
 
 
-def test_floors_are_of_every_kind(floors):
+def test_floors_are_of_every_kind(floors, rooms_of_floors):
     sides = np.concatenate([[len(p) for p in children(g, ROOM, PLANE)] for g in floors])
     assert {3, 4, 5, 6, 8, 10, 12} <= set(sides.tolist())
     assert sides.min() == 3
@@ -132,7 +140,7 @@ def test_floors_are_of_every_kind(floors):
     rooms = [(graph.nodes.label == ROOM).sum() for graph in floors]
     assert min(rooms) == 1
     assert max(rooms) >= 60
-    holes = sum(len(room.interiors) for graph in floors[:120] for room in rooms_of(graph))
+    holes = sum(len(room.interiors) for rooms in rooms_of_floors for room in rooms)
     assert holes > 10
 
 

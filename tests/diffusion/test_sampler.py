@@ -1,14 +1,14 @@
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from sg3d_jax.diffusion.sampler import ancestral_sample
 from sg3d_jax.diffusion.schedules import strided_times
 
-START = {"place": jnp.arange(3.0), "seen": jnp.zeros((), jnp.int32)}
+START = {"place": np.arange(3, dtype=np.float32), "seen": np.zeros((), np.int32)}
 
 
+@jax.jit
 def step(key, state, now, then):
     """Depends on everything that it is given, in a way that tells the order of steps."""
     noise = jax.random.uniform(key, (3,))
@@ -25,7 +25,8 @@ def test_a_sample__is_that_of_a_loop_over_the_steps(num_times, num_steps):
     keys = jax.random.split(jax.random.clone(key), num_steps)
     for index in range(num_steps):
         state = step(keys[index], state, int(times[index]), int(times[index + 1]))
-    found = ancestral_sample(step, START, key, num_times, num_steps)
+    sample = jax.jit(ancestral_sample, static_argnums=(0, 3, 4))
+    found = sample(step, START, key, num_times, num_steps)
     np.testing.assert_allclose(found["place"], state["place"], rtol=1e-6)
     assert found["seen"] == state["seen"]
 

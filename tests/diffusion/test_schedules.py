@@ -32,7 +32,7 @@ def test_cosine__falls_from_one_to_nothing():
 
 
 @given(st.integers(1, 600), st.data())
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=20)
 def test_strided_times__fall_without_repeats_from_the_last_to_zero(num_steps, data):
     num_samples = data.draw(st.integers(1, num_steps))
     times = np.asarray(strided_times(num_steps, num_samples))

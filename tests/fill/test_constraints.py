@@ -58,6 +58,16 @@ TOWN = Ontology(
 )
 
 
+compiled_rules = jax.jit(rules_of, static_argnames=("num_block", "layers"))
+
+
+whole_in = jax.jit(is_whole, static_argnames="layers")
+
+
+def rules_for(graph, num_block=1, layers=(), closing=False):
+    return jax.tree.map(np.asarray, compiled_rules(graph, num_block, layers, closing))
+
+
 def made(labels, pairs, ontology=PAPER_ONTOLOGY):
     return make_graph(labels, np.zeros((len(labels), 3)), part_of=pairs, ontology=ontology)
 
@@ -85,14 +95,14 @@ def said(rules: Rules) -> set[str]:
 )
 def test_a_concept__can_come_while_there_are_parts_for_it(nodes, closing, expected):
     graph = on_device(first(NODES[nodes]))
-    assert said(rules_of(graph, 1, closing=closing)) == expected
+    assert said(rules_for(graph, closing=closing)) == expected
 
 
 def test_old_nodes__are_open_to_what_the_ontology_allows_and_no_one_has_taken():
     graph = on_device(first(NODES["one room"]))  # of the first four planes
-    rules = rules_of(graph, 1)
+    rules, kinds = rules_for(graph), graph.nodes.label.tolist()
     for label, node in itertools.product(CONCEPTS, range(16)):
-        kind = int(graph.nodes.label[node])
+        kind = kinds[node]
         real = node < 10
         part = real and PAPER_ONTOLOGY.may_be_part[kind, label]
         part = part and not (label == ROOM and node < 4)
@@ -104,12 +114,12 @@ def test_of_what_holds_everything_there_is_one():
     labels = [PLANE, PLANE, ROOM, ROOM, FLOOR, FLOOR, BUILDING, BUILDING, CITY]
     pairs = [(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)]
     without = on_device(made(labels[:8], pairs))
-    rules = rules_of(without, 1)
+    rules = rules_for(without)
     assert said(rules) == {"wall", "city"}
     assert rules.must[BUILDING, CITY]  # it takes both
     assert not rules.must[ROOM, FLOOR]
     city = on_device(made(labels, [*pairs, (6, 8)]))
-    assert "city" not in said(rules_of(city, 1))
+    assert "city" not in said(rules_for(city))
 
 
 def test_in_the_order_of_another_graph__parts_find_their_wholes_and_wholes_wait():
@@ -117,11 +127,11 @@ def test_in_the_order_of_another_graph__parts_find_their_wholes_and_wholes_wait(
     assert order.least[FLOOR] == order.least[CITY] == 0
     assert order.least[ROOM] == 1  # planes are there before everything
     graph = on_device(made([PLANE, PLANE, CITY], []))
-    rules = rules_of(graph, 1, TOP_DOWN)
+    rules = rules_for(graph, layers=TOP_DOWN)
     assert rules.must[BUILDING, CITY]
     assert rules.must[ROOM, FLOOR]
-    assert said(rules_of(graph, 1, TOP_DOWN, closing=True)) == {"building"}
-    assert not is_whole(graph, TOP_DOWN)
+    assert said(rules_for(graph, layers=TOP_DOWN, closing=True)) == {"building"}
+    assert not whole_in(graph, TOP_DOWN)
 
 
 @pytest.mark.parametrize(
@@ -129,16 +139,16 @@ def test_in_the_order_of_another_graph__parts_find_their_wholes_and_wholes_wait(
     [("planes", True), ("wall", True), ("one room", True), ("two rooms", False), ("all", True)],
 )
 def test_a_graph__may_end_where_all_hangs_below_one_node(nodes, whole):
-    assert bool(is_whole(on_device(first(NODES[nodes])))) == whole
+    assert bool(whole_in(on_device(first(NODES[nodes])))) == whole
 
 
 def test_what_is_forbidden__has_probability_zero_and_all_else_that_of_its_labels():
     graph = on_device(first(NODES["one room"]))
-    rules = rules_of(graph, 1)
+    rules = rules_for(graph)
     rng = np.random.default_rng(0)
     logits = rng.normal(size=(2, 6)), rng.normal(size=(2, 18, 2))
-    label, edge = constrained(rules, *map(jnp.asarray, logits))
-    label = np.asarray(label)
+    predicted = jax.jit(constrained)
+    label, edge = map(np.asarray, predicted(rules, *logits))
     assert (label[:, [PLANE, BUILDING, CITY]] == 0).all()
     np.testing.assert_allclose(label.sum(axis=-1), 1, rtol=1e-6)
     free = np.exp(logits[1])[..., 1] / np.exp(logits[1]).sum(axis=-1)
@@ -148,11 +158,11 @@ def test_what_is_forbidden__has_probability_zero_and_all_else_that_of_its_labels
             both = np.outer(label[row], label[token])
             chance = (both * may).sum()
         else:
-            open_to = np.asarray(rules.part[:, token - 2] | rules.whole[:, token - 2])
+            open_to = rules.part[:, token - 2] | rules.whole[:, token - 2]
             chance = (label[row] * open_to).sum()
         np.testing.assert_allclose(edge[row, token, 1], free[row, token] * chance, rtol=1e-5)
-    same = constrained(None, *map(jnp.asarray, logits))
-    np.testing.assert_allclose(same[1][..., 1], free, rtol=1e-5)
+    _, same = map(np.asarray, predicted(None, *logits))
+    np.testing.assert_allclose(same[..., 1], free, rtol=1e-5)
 
 
 @jax.jit
@@ -166,7 +176,7 @@ def draw_often(rules, logits_label, log_odds):
 
 def drawn_often(rules, logits_label, log_odds):
     """Counts (label, old nodes that are joined) of a block of one node."""
-    drawn = draw_often(rules, logits_label, log_odds)
+    drawn = draw_often(rules, *(np.asarray(each, np.float32) for each in (logits_label, log_odds)))
     label, edges, mask = jax.tree.map(np.asarray, drawn)
     assert mask.all()
     assert not edges[:, 0, 0].any()
@@ -177,19 +187,23 @@ def drawn_often(rules, logits_label, log_odds):
     return found
 
 
+def only(label):
+    """Returns logits of which one label alone is possible."""
+    return [0.0 if other == label else NEVER for other in CONCEPTS]
+
+
 def test_a_draw__is_one_of_the_prediction_given_the_rules():
     """Against all sets of edges, one by one: those that a label forbids have no chance."""
     graph = on_device(first(NODES["one room"]))
-    rules = rules_of(graph, 1)
-    logits = jnp.asarray([5.0, NEVER, 0.3, 0.0, 1.0, 1.0])  # of walls the least is two: not here
-    log_odds = (
-        jnp.full(16, -30.0).at[jnp.asarray([3, 4, 5, 9])].set(jnp.asarray([1.0, 0.5, -0.4, 0.8]))
-    )
+    rules = rules_for(graph)
+    logits = [5.0, NEVER, 0.3, 0.0, 1.0, 1.0]  # of walls the least is two: not here
+    log_odds = np.full(16, -30.0)
+    log_odds[[3, 4, 5, 9]] = 1.0, 0.5, -0.4, 0.8
     found = drawn_often(rules, logits, log_odds)
-    chance, expected = np.asarray(jax.nn.sigmoid(log_odds), np.float64), {}
+    chance, expected = 1 / (1 + np.exp(-log_odds)), {}
     for label, open_to, closed in ((ROOM, (4, 5), (3, 9)), (FLOOR, (9,), (3, 4, 5))):
         absent = np.prod([1 - chance[node] for node in open_to])
-        weight = np.exp(float(logits[label])) * (1 - absent) * np.prod(1 - chance[list(closed)])
+        weight = np.exp(logits[label]) * (1 - absent) * np.prod(1 - chance[list(closed)])
         for joined in itertools.product([False, True], repeat=len(open_to)):
             nodes = [node for node, yes in zip(open_to, joined, strict=True) if yes]
             share = np.prod(
@@ -205,11 +219,9 @@ def test_a_draw__is_one_of_the_prediction_given_the_rules():
 
 def test_a_part__takes_one_whole_at_most_by_odds():
     labels = [PLANE, PLANE, FLOOR, FLOOR, FLOOR]
-    rules = rules_of(on_device(made(labels, [])), 1)
-    odds = jnp.asarray([3.0, 0.5, 2.0, 1.0, 0.25])
-    log_odds = jnp.full(16, -30.0).at[:5].set(jnp.log(odds)).at[0].set(30.0)
-    logits = jnp.full(6, NEVER).at[ROOM].set(0.0)
-    found = drawn_often(rules, logits, log_odds)
+    rules = rules_for(on_device(made(labels, [])))
+    log_odds = np.r_[30.0, np.log([0.5, 2.0, 1.0, 0.25]), [-30.0] * 11]
+    found = drawn_often(rules, only(ROOM), log_odds)
     for plane, share in (((), 2 / 3), ((1,), 1 / 3)):
         for floor, weight in (((), 1.0), ((2,), 2.0), ((3,), 1.0), ((4,), 0.25)):
             expected = share * weight / 4.25
@@ -219,9 +231,8 @@ def test_a_part__takes_one_whole_at_most_by_odds():
 
 def test_what_has_too_few_parts__takes_those_of_the_best_odds():
     graph = on_device(made([PLANE] * 5, []))
-    logits = jnp.full(6, NEVER).at[WALL].set(0.0)
-    log_odds = jnp.asarray([-60.0, -20.0, -60.0, -25.0, -60.0, *[NEVER] * 11])
-    found = drawn_often(rules_of(graph, 1), logits, log_odds)
+    log_odds = [-60.0, -20.0, -60.0, -25.0, -60.0, *[NEVER] * 11]
+    found = drawn_often(rules_for(graph), only(WALL), log_odds)
     assert found == {(WALL, 1, 3): pytest.approx(1.0)}
 
 

@@ -2,27 +2,23 @@
 
 import functools
 
+import chex
 import jax
 import numpy as np
 import pytest
 
-from sg3d_jax.fill.fd4 import FD4, FD4Config
+from sg3d_jax.fill.fd4 import FD4Config
 from sg3d_jax.fill.midi import MiDi, MiDiConfig
-from sg3d_jax.flagg.grow import HALTED, Grown, grow
-from sg3d_jax.flagg.step import Flagg, FlaggConfig, Params
+from sg3d_jax.fill.protocol import Fill
+from sg3d_jax.flagg.grow import HALTED, RUNNING, Grown, grow
+from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg
 from sg3d_jax.metrics.oddities import Oddity, oddities
 from sg3d_jax.metrics.structure import num_forbidden_edges
-from sg3d_jax.scene.graph import (
-    PackedGraph,
-    SceneGraph,
-    observed_of,
-    ontology_of,
-    parts_first,
-    subgraph,
-)
+from sg3d_jax.scene.graph import SceneGraph, observed_of, ontology_of, parts_first, subgraph
 from sg3d_jax.scene.ontology import PLANE
 from sg3d_jax.scene.padding import Capacity, unpad
 from tests.growing_rooms import Counting, Even, stop_at
+from tests.opinions import OpinionatedFD4, OpinionatedMiDi
 from tests.two_rooms import (
     NUM_PLANES,
     STATISTICS,
@@ -38,34 +34,41 @@ pytestmark = pytest.mark.slow
 SCENE = two_rooms()
 ROOM_FOR = Capacity(48, 800)
 NUMBER = 12
-FILLS = {
-    "midi": MiDi(MiDiConfig(8, 1, 2, 8, 8, 1, 2, diffusion_steps=3, sampling_steps=2), STATISTICS),
-    "fd4": FD4(
-        FD4Config(8, 1, 2, 8, 8, 1, 2, 8, 1, 3, topology_steps=2, distance_steps=1), STATISTICS
-    ),
-}
+MIDI_CONFIG = MiDiConfig(8, 1, 2, 8, 8, 1, 2, diffusion_steps=3, sampling_steps=2)
+FD4_CONFIG = FD4Config(8, 1, 2, 8, 8, 1, 2, 8, 1, 3, topology_steps=2, distance_steps=1)
 BROKEN = {Oddity.WITHOUT_WHOLE, Oddity.SEVERAL_WHOLES, Oddity.TOO_FEW_PARTS}
+UNTRAINED = make_flagg(
+    FlaggConfig(coins=(1, 2), width=4, depth=1, constrained=False), MiDi(MIDI_CONFIG, STATISTICS)
+)
+grow_one = jax.jit(grow, static_argnames=("model", "max_steps"))
 
 
-@functools.partial(jax.jit, static_argnames="model")
-def grow_many(model: Flagg, params: Params, keys: jax.Array, given: PackedGraph) -> Grown:
-    return jax.vmap(lambda key: grow(model, params, key, given))(keys)
+FILLS = {
+    "midi": OpinionatedMiDi(MIDI_CONFIG, STATISTICS),
+    "fd4": OpinionatedFD4(FD4_CONFIG, STATISTICS),
+}
 
 
-@jax.debug_key_reuse(False)  # JAX takes a vmapped scan over keys for their reuse
-def growing(fill: str, config: FlaggConfig, given: SceneGraph, stop: int = 14) -> Grown:
+def growing(fill: Fill, config: FlaggConfig, given: SceneGraph, stop: int = 14) -> list[Grown]:
     """Grows many graphs by drawn parameters; Halt would end from so many nodes on."""
-    model = Flagg(config, Even(1, 1, len(config.coins)), FILLS[fill], Counting(1, 1))
-    params = random_params(FILLS[fill].init, observed(SCENE), all_at_once())
-    keys = jax.random.split(jax.random.key(0), NUMBER)
-    start = on_device(given, ROOM_FOR)
-    return jax.tree.map(
-        np.asarray, grow_many(model, stop_at(stop)._replace(fill=params), keys, start)
+    model = Flagg(config, Even(1, 1, len(config.coins)), fill, Counting(1, 1))
+    params = stop_at(stop)._replace(
+        fill=random_params(fill.init, observed(SCENE), jax.jit(all_at_once)())
     )
+    start = on_device(given, ROOM_FOR)
+    grown = [grow_one(model, params, jax.random.key(seed), start) for seed in range(NUMBER)]
+    return jax.tree.map(np.asarray, grown)
 
 
-def of(grown, number):
-    return unpad(jax.tree.map(lambda leaf: leaf[number], grown.graph))
+def halted(grown: list[Grown]) -> list[SceneGraph]:
+    return [unpad(one.graph) for one in grown if one.halt_reason == HALTED]
+
+
+def assert_begins_with(grown: Grown, given: SceneGraph) -> None:
+    """Asserts that what was given is there, bit for bit."""
+    count = int(given.n_node[0])
+    for found, expected in zip(grown.graph.nodes, given.nodes, strict=True):
+        np.testing.assert_array_equal(found[:count], np.asarray(expected)[:count])
 
 
 def assert_sound(graph: SceneGraph) -> None:
@@ -83,31 +86,58 @@ def assert_sound(graph: SceneGraph) -> None:
 @pytest.mark.parametrize("given", [NUM_PLANES, 10], ids=["planes", "a room"])
 @pytest.mark.parametrize(("fill", "coins"), [("midi", (1,)), ("fd4", (1, 4))])
 def test_what_halts__obeys_every_rule_whatever_the_parameters(fill, coins, given):
-    grown = growing(fill, FlaggConfig(coins=coins), subgraph(SCENE, np.arange(given)))
-    assert (grown.halt_reason == HALTED).mean() > 0.8
-    for number in np.flatnonzero(grown.halt_reason == HALTED):
-        assert_sound(of(grown, number))
-
-
-def test_without_constraints__rules_are_broken():
-    grown = growing("midi", FlaggConfig(coins=(1,), constrained=False), observed_of(SCENE))
-    kinds = {odd.kind for number in range(NUMBER) for odd in oddities(of(grown, number))}
-    assert kinds >= {Oddity.WITHOUT_WHOLE, Oddity.SEVERAL_WHOLES}
+    start = subgraph(SCENE, np.arange(given))
+    grown = growing(FILLS[fill], FlaggConfig(coins=coins), start)
+    graphs = halted(grown)
+    assert len(graphs) > 0.8 * NUMBER
+    for graph in graphs:
+        assert_sound(graph)
+    for one in grown:
+        assert_begins_with(one, on_device(start, ROOM_FOR))
 
 
 def test_growing_from_the_top__is_sound_too():
     layers = ("floor", "room", "wall", "building", "city")
-    grown = growing("midi", FlaggConfig(coins=(1,), layers=layers), observed_of(SCENE))
-    assert (grown.halt_reason == HALTED).any()
-    for number in np.flatnonzero(grown.halt_reason == HALTED):
-        assert_sound(of(grown, number))
+    config = FlaggConfig(coins=(1,), layers=layers)
+    graphs = halted(growing(FILLS["midi"], config, observed_of(SCENE)))
+    assert graphs
+    for graph in graphs:
+        assert_sound(graph)
+
+
+@pytest.fixture(scope="module")
+def unconstrained() -> list[Grown]:
+    """What grows without constraints in three steps, by untrained networks of Insert and Halt."""
+    planes = on_device(observed_of(SCENE), ROOM_FOR)
+    init = functools.partial(UNTRAINED.init, graph=on_device(SCENE))
+    grown = [
+        grow_one(UNTRAINED, random_params(init, seed=seed), jax.random.key(seed), planes, 3)
+        for seed in range(NUMBER)
+    ]
+    return jax.tree.map(np.asarray, grown)
+
+
+def test_without_constraints__rules_are_broken(unconstrained):
+    kinds = {odd.kind for grown in unconstrained for odd in oddities(unpad(grown.graph))}
+    assert kinds >= {Oddity.WITHOUT_WHOLE, Oddity.SEVERAL_WHOLES}
+
+
+def test_growing__with_an_untrained_model_leaves_the_planes_bit_for_bit(unconstrained):
+    for grown in unconstrained:
+        assert grown.halt_reason != RUNNING
+        count = int(grown.graph.n_node[0])
+        assert NUM_PLANES < count <= NUM_PLANES + 6
+        chex.assert_tree_all_finite(grown)
+        assert_begins_with(grown, on_device(observed_of(SCENE), ROOM_FOR))
+        assert (grown.graph.nodes.label[NUM_PLANES:count] != PLANE).all()
+        np.testing.assert_array_equal(grown.graph.nodes.mask, np.arange(ROOM_FOR.nodes) < count)
 
 
 def test_a_graph_to_which_nothing_can_be_added__ends():
     """Of one plane that has its room there is no wall; and Halt alone would never end."""
     scene = subgraph(SCENE, np.array([0, 9, 11]))
-    grown = growing("midi", FlaggConfig(coins=(1,)), scene, stop=10**6)
-    assert (grown.halt_reason == HALTED).all()
+    graphs = halted(growing(FILLS["midi"], FlaggConfig(coins=(1,)), scene, stop=10**6))
+    assert len(graphs) == NUMBER
     names = ontology_of(scene).names
-    labels = [names[label] for label in of(grown, 0).nodes.label]
+    labels = [names[label] for label in graphs[0].nodes.label]
     assert labels == ["plane", "room", "floor", "building", "city"]

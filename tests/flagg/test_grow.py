@@ -35,7 +35,14 @@ SCENE = two_rooms()
 ROOM_FOR = Capacity(24, 288)
 KNOWN = subgraph(SCENE, np.arange(11))  # both rooms and the wall between them, but no floor
 WALLS = grows_rooms(1, 2, fill=AddWalls())
-growing = jax.jit(grow, static_argnames=("model", "max_steps", "ask_first"))
+LARGER, LARGE = Capacity(32, 384), Capacity(48, 576)
+LIMIT = 50  # steps
+compiled = jax.jit(grow, static_argnames=("model", "max_steps", "ask_first"))
+twins = jax.jit(num_twins)
+
+
+def growing(model, params, key, scene, ask_first=False, steps=0):
+    return compiled(model, params, key, scene, LIMIT, ask_first, np.int32(steps))
 
 
 def first_planes(count: int) -> SceneGraph:
@@ -58,26 +65,26 @@ def assert_begins_with(graph, start):
 
 
 @pytest.mark.parametrize(
-    ("model", "params", "max_steps", "reason"),
+    ("model", "params", "before", "reason"),
     [
-        (MODEL, stop_at(13), 50, HALTED),
-        (MODEL, NEVER, 50, CAPACITY),
-        (WALLS, NEVER, 50, CAPACITY),
-        (MODEL, NEVER, 3, MAX_STEPS),
+        (MODEL, stop_at(13), 0, HALTED),
+        (MODEL, NEVER, 0, CAPACITY),
+        (WALLS, NEVER, 0, CAPACITY),
+        (MODEL, NEVER, LIMIT - 3, MAX_STEPS),
     ],
     ids=["halted", "full of kin", "full", "stopped"],
 )
-def test_growing__ends_for_each_of_its_reasons(model, params, max_steps, reason):
+def test_growing__ends_for_each_of_its_reasons(model, params, before, reason):
     planes = given(observed_of(SCENE))
     for seed in range(3):
-        grown = growing(model, params, jax.random.key(seed), planes, max_steps)
-        num_new = int(grown.graph.n_node[0]) - NUM_PLANES
+        grown = growing(model, params, jax.random.key(seed), planes, steps=before)
+        num_new, num_blocks = int(grown.graph.n_node[0]) - NUM_PLANES, int(grown.steps) - before
         assert grown.halt_reason == reason
-        assert grown.steps <= num_new <= 2 * grown.steps
+        assert num_blocks <= num_new <= 2 * num_blocks
         if reason == HALTED:
             assert num_new in (5, 6)
         elif reason == MAX_STEPS:
-            assert grown.steps == max_steps
+            assert grown.steps == LIMIT
         elif model == WALLS:
             assert num_new + NUM_PLANES in (ROOM_FOR.nodes - 1, ROOM_FOR.nodes)
         else:  # a third of the slots is for nodes that hear of their kin
@@ -85,9 +92,9 @@ def test_growing__ends_for_each_of_its_reasons(model, params, max_steps, reason)
 
 
 def test_growing__ends_where_one_thing_is_drawn_again_and_again():
-    scene, rooms = given(observed_of(SCENE), Capacity(48, 576)), grows_rooms(1, fill=AddRooms())
+    scene = given(observed_of(SCENE), LARGE)
     for stop, reason in ((NEVER, REPEATED), (stop_at(NUM_PLANES + TWINS + 2), HALTED)):
-        grown = growing(rooms, stop, jax.random.key(0), scene, 50)
+        grown = growing(ONE_BY_ONE, stop, jax.random.key(0), scene)
         assert grown.halt_reason == reason
         assert grown.steps == TWINS + 2
 
@@ -102,41 +109,46 @@ def test_twins__have_the_concept_and_the_parts_of_the_last_node():
         edges = [(p, whole) for whole in range(5, 13) if labels[whole] < 3 for p in sets[whole][1]]
         graph = make_graph(labels, rng.normal(size=(13, 3)), part_of=edges)
         expected = sets[5:-1].count(sets[-1]) if sets[-1][1] else 0
-        assert num_twins(on_device(graph, Capacity(24, 288))) == expected
+        assert twins(given(graph)) == expected
         counts.append(expected)
     assert min(counts) == 0
     assert max(counts) >= 3
 
 
+SCENES = [observed_of(SCENE), first_planes(5), KNOWN, first_planes(5)]
+BEFORE = np.asarray([0, 1, 0, LIMIT], np.int32)  # steps
+
+
+def grow_batch(model, keys, lanes):
+    return grow_lanes(model, stop_at(12), keys, stack(SCENES, ROOM_FOR), BEFORE, LIMIT, True, lanes)
+
+
 @pytest.mark.parametrize("lanes", [None, 2])
 def test_a_batch__is_a_loop_over_its_scenes(lanes):
     """However many there are side by side; what has had all its steps only fills the batch."""
-    scenes = [observed_of(SCENE), first_planes(5), KNOWN, first_planes(5)]
-    keys, scenes = jax.random.split(jax.random.key(3), 4), stack(scenes, ROOM_FOR)
-    steps = jnp.asarray([0, 1, 0, 50])
-    batch = grow_lanes(MODEL, stop_at(12), keys, scenes, steps, 50, True, lanes)
-    for index in range(4):
-        key, scene, before, found = jax.tree.map(
-            lambda leaf, i=index: leaf[i], (keys, scenes, steps, batch)
-        )
-        if before == 50:
-            assert (found.halt_reason, found.steps) == (MAX_STEPS, 50)
-            assert_begins_with(found.graph, scene)
+    keys = jax.random.split(jax.random.key(3), 4)
+    batch = jax.tree.map(np.asarray, grow_batch(MODEL, keys, lanes))
+    for index, (scene, before) in enumerate(zip(SCENES, BEFORE.tolist(), strict=True)):
+        found = jax.tree.map(lambda leaf, i=index: leaf[i], batch)
+        if before == LIMIT:
+            assert (found.halt_reason, found.steps) == (MAX_STEPS, LIMIT)
+            assert_begins_with(found.graph, given(scene))
             assert int(found.graph.n_node[0]) == 5
         else:
-            one = growing(MODEL, stop_at(12), key, scene, 50, True, before)
-            chex.assert_trees_all_equal(found, one)
+            one = growing(MODEL, stop_at(12), keys[index], given(scene), True, before)
+            chex.assert_trees_all_equal(found, jax.tree.map(np.asarray, one))
 
 
 def test_every_step__has_randomness_of_its_own():
-    grown = growing(ONE_BY_ONE, NEVER, jax.random.key(0), given(observed_of(SCENE)), 6)
+    scene = given(observed_of(SCENE), LARGE)
+    grown = growing(ONE_BY_ONE, stop_at(NUM_PLANES + 6), jax.random.key(0), scene)
     places = np.asarray(grown.graph.nodes.position)[NUM_PLANES : NUM_PLANES + 6]
     assert len(np.unique(places, axis=0)) == 6
 
 
 def test_a_partial_graph__is_kept_bit_for_bit_and_comes_first():
     scene = given(KNOWN)
-    grown = growing(MODEL, stop_at(14), jax.random.key(1), scene, 50)
+    grown = growing(MODEL, stop_at(14), jax.random.key(1), scene)
     assert_begins_with(grown.graph, scene)
     graph = unpad(grown.graph)
     validate_graph(graph, "grown")
@@ -163,38 +175,36 @@ def test_a_model__is_shown_new_proximity_edges_and_the_part_of_edges_that_are_kn
     near = 8 * 7  # eight planes are all near each other, in both directions
     for scene, known in ((bare, 2 * len(undirected_edges(KNOWN, PART_OF))), (first_planes(8), 0)):
         count = len(scene.nodes.label)
-        grown = growing(one, NEVER, jax.random.key(2), given(scene), 2)
+        grown = growing(one, stop_at(count + 2), jax.random.key(2), given(scene))
         told = np.asarray(grown.graph.nodes.position)[count : count + 2]
         np.testing.assert_array_equal(told, [[near, known, count], [near, known + 4, count + 1]])
 
 
 def test_a_graph_that_is_found_complete__is_returned_as_it_came_if_that_is_asked():
     scene, key = given(KNOWN), jax.random.key(3)
-    asked, unasked = (growing(MODEL, stop_at(11), key, scene, 50, ask) for ask in (True, False))
+    asked, unasked = (growing(MODEL, stop_at(11), key, scene, ask) for ask in (True, False))
     assert (asked.halt_reason, asked.steps) == (HALTED, 0)
     assert asked.graph.n_node[0] == 11
     assert_begins_with(asked.graph, scene)
     assert (unasked.halt_reason, unasked.steps) == (HALTED, 1)
-    incomplete = growing(MODEL, stop_at(13), key, scene, 50, True)
+    incomplete = growing(MODEL, stop_at(13), key, scene, True)
     assert incomplete.steps > 0
     assert incomplete.graph.n_node[0] >= 13
 
 
 def test_halt__is_never_asked_about_planes_alone_nor_where_growing_goes_on():
-    planes = given(observed_of(SCENE))
-    grown = growing(ONE_BY_ONE, stop_at(1), jax.random.key(4), planes, 50, True)
-    assert (grown.halt_reason, grown.steps) == (HALTED, 1)
-    grown = growing(ONE_BY_ONE, stop_at(1), jax.random.key(4), given(KNOWN), 50, True, 2)
-    assert (grown.halt_reason, grown.steps) == (HALTED, 3)
+    for scene, before in ((observed_of(SCENE), 0), (KNOWN, 2)):
+        grown = growing(MODEL, stop_at(1), jax.random.key(4), given(scene), True, before)
+        assert (grown.halt_reason, grown.steps) == (HALTED, before + 1)
 
 
 def test_growing_that_goes_on_in_a_larger_graph__is_growing_at_once():
-    larger, key = Capacity(32, 384), jax.random.key(5)
-    whole = growing(MODEL, stop_at(15), key, given(observed_of(SCENE), larger), 50)
-    assert whole.steps > 3
-    part = growing(MODEL, stop_at(15), key, given(observed_of(SCENE)), 2)
-    rest = growing(MODEL, stop_at(15), key, given(unpad(part.graph), larger), 50, False, part.steps)
-    assert (part.halt_reason, rest.halt_reason, rest.steps) == (MAX_STEPS, HALTED, whole.steps)
+    model, stop, key, planes = WALLS, stop_at(28), jax.random.key(5), observed_of(SCENE)
+    whole = growing(model, stop, key, given(planes, LARGER))
+    part = growing(model, stop, key, given(planes))
+    assert 3 < part.steps < whole.steps
+    rest = growing(model, stop, key, given(unpad(part.graph), LARGER), steps=part.steps)
+    assert (part.halt_reason, rest.halt_reason, rest.steps) == (CAPACITY, HALTED, whole.steps)
     for one, other in zip(unpad(rest.graph).nodes, unpad(whole.graph).nodes, strict=True):
         np.testing.assert_array_equal(one, other)
     pairs = (undirected_edges(grown.graph, PART_OF) for grown in (rest, whole))
@@ -203,7 +213,7 @@ def test_growing_that_goes_on_in_a_larger_graph__is_growing_at_once():
 
 def test_a_graph_with_holes__cannot_grow():
     scene = given(KNOWN)
-    holes = masked(scene, scene.nodes.mask & (jnp.arange(24) != 9), scene.edges.mask)
+    holes = jax.jit(masked)(scene, scene.nodes.mask & (np.arange(24) != 9), scene.edges.mask)
     with pytest.raises(TypeError):
         grow(MODEL, NEVER, jax.random.key(6), holes, 3)
 
@@ -213,10 +223,9 @@ def test_models_that_are_built_alike__are_compiled_once():
     def start(keys):
         return keys
 
-    scenes, steps = stack([observed_of(SCENE)], ROOM_FOR), jnp.zeros(1, jnp.int32)
-    grow_lanes.clear_cache()
+    sizes = set()
     for seed in range(2):
-        model = grows_rooms(1, 2)
-        keys = start(jax.random.split(jax.random.key(seed), 1))
-        grow_lanes(model, stop_at(12), keys, scenes, steps, 50, False)
-    assert grow_lanes._cache_size() == 1
+        keys = start(jax.random.split(jax.random.key(seed), 4))
+        grow_batch(grows_rooms(1, 2), keys, 2)
+        sizes.add(grow_lanes._cache_size())
+    assert len(sizes) == 1

@@ -6,33 +6,80 @@ import pytest
 from sg3d_jax.flagg.blocks import fewest_coins
 from sg3d_jax.flagg.removal import draw_continuations, draw_cut, draw_missing, extract_block
 from sg3d_jax.scene.graph import make_graph, undirected_edges
-from sg3d_jax.scene.ontology import PLANE, PROXIMITY, ROOM
+from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Capacity, part_of_adjacency
 from tests import own_world
-from tests.two_rooms import NUM_PLANES, on_device, two_rooms, with_garbage
+from tests.two_rooms import CAPACITY, NUM_PLANES, on_device, two_rooms, with_garbage
 
 COINS = (1, 2)
 SCENE = two_rooms()
 NUM_HIGH = len(SCENE.nodes.label) - NUM_PLANES
-TRUTH = np.asarray(part_of_adjacency(on_device(SCENE)))
 NEAR = undirected_edges(SCENE, PROXIMITY)
-cut_graph = jax.jit(jax.vmap(lambda graph, key: draw_cut(graph, key, COINS), (None, 0)))
+NUM_CUTS = 600
+adjacency_of = jax.jit(jax.vmap(part_of_adjacency))
+
+
+def truth_of(scene, num_slots):
+    """The adjacency of the part-of edges of a host graph, with padding."""
+    first, second = undirected_edges(scene, PART_OF).T
+    truth = np.zeros((num_slots, num_slots), bool)
+    truth[first, second] = truth[second, first] = True
+    return truth
+
+
+TRUTH = truth_of(SCENE, CAPACITY.nodes)
+
+
+def drawing(number, coins, layers=(), any_cuts=0.0):
+    """Returns a program that draws cuts, each with as many blocks that may come next."""
+
+    @jax.jit
+    def draw(graph, keys):
+        def one(key):
+            key_cut, key_blocks = jax.random.split(key)
+            cut = draw_cut(graph, key_cut, coins, "H", layers, any_cuts)
+            return cut, draw_continuations(graph, cut, key_blocks, number, layers)
+
+        return jax.vmap(one)(keys)
+
+    return lambda graph, keys: jax.tree.map(np.asarray, draw(graph, keys))
+
+
+draw_by_coins = drawing(3, COINS)
+
+
+def keys_of(seed, number=NUM_CUTS):
+    return jax.random.split(jax.random.key(seed), number)
 
 
 @pytest.fixture(scope="module")
-def cuts():
-    keys = jax.random.split(jax.random.key(0), 600)
-    return jax.tree.map(np.asarray, cut_graph(on_device(SCENE), keys))
+def drawn():
+    return draw_by_coins(on_device(SCENE), keys_of(0))
 
 
-def each(cuts):
-    for index in range(len(cuts.complete)):
-        yield jax.tree.map(lambda leaf, i=index: leaf[i], cuts)
+@pytest.fixture(scope="module")
+def cuts(drawn):
+    return drawn[0]
+
+
+@pytest.fixture(scope="module")
+def some_cuts(cuts):
+    """Enough of the cuts for every kind of them."""
+    return first_of(cuts, 100)
+
+
+@pytest.fixture(scope="module")
+def any_cuts():
+    """Cuts of any kind, and blocks that may come next."""
+    return drawing(6, (1,), any_cuts=1.0)(on_device(SCENE), keys_of(3, 2000))
+
+
+def first_of(tree, number):
+    return [jax.tree.map(lambda leaf, i=index: leaf[i], tree) for index in range(number)]
 
 
 def each_block(blocks):
-    for index in range(len(blocks.mask)):
-        yield jax.tree.map(lambda leaf, i=index: np.asarray(leaf)[i], blocks)
+    return first_of(blocks, len(blocks.mask))
 
 
 def find(position):
@@ -41,29 +88,29 @@ def find(position):
     return int(np.argmin(offset))
 
 
-def test_planes__survive_untouched_with_all_their_proximity_edges(cuts):
+def test_planes__survive_untouched_with_all_their_proximity_edges(cuts, some_cuts):
     whole, nodes = on_device(SCENE).nodes, cuts.survivors.nodes
     assert nodes.mask[:, :NUM_PLANES].all()
     for name in ("label", "position", "normal", "width", "observed"):
         found, given = getattr(nodes, name), getattr(whole, name)
         np.testing.assert_array_equal(found, np.broadcast_to(given, found.shape))
-    for cut in each(cuts):
+    for cut in some_cuts:
         np.testing.assert_array_equal(undirected_edges(cut.survivors, PROXIMITY), NEAR)
         assert not (cut.block.label[cut.block.mask] == PLANE).any()
 
 
 def test_survivors__keep_exactly_the_edges_among_them(cuts):
-    adjacency = np.asarray(jax.vmap(part_of_adjacency)(cuts.survivors))
-    for cut, found in zip(each(cuts), adjacency, strict=True):
-        mask = cut.survivors.nodes.mask
-        np.testing.assert_array_equal(found, TRUTH & mask[:, None] & mask[None])
-        assert cut.survivors.n_node[0] == mask.sum()
-        assert cut.survivors.n_edge[0] == cut.survivors.edges.mask.sum()
+    mask, survivors = cuts.survivors.nodes.mask, cuts.survivors
+    np.testing.assert_array_equal(
+        adjacency_of(survivors), TRUTH[None] & mask[:, :, None] & mask[:, None]
+    )
+    np.testing.assert_array_equal(survivors.n_node[:, 0], mask.sum(axis=1))
+    np.testing.assert_array_equal(survivors.n_edge[:, 0], survivors.edges.mask.sum(axis=1))
 
 
-def test_blocks__have_the_labels_places_and_edges_of_the_nodes_they_hold(cuts):
+def test_blocks__have_the_labels_places_and_edges_of_the_nodes_they_hold(some_cuts):
     capacity = max(COINS)
-    for cut in each(cuts):
+    for cut in some_cuts:
         block, old = cut.block, cut.survivors.nodes.mask
         slots = [find(position) for position in block.position[block.mask]]
         assert not old[slots].any()
@@ -76,8 +123,8 @@ def test_blocks__have_the_labels_places_and_edges_of_the_nodes_they_hold(cuts):
         assert size == 0 or size in COINS
 
 
-def test_layers__come_one_after_the_other(cuts):
-    for cut in each(cuts):
+def test_layers__come_one_after_the_other(some_cuts):
+    for cut in some_cuts:
         kept = SCENE.nodes.label[cut.survivors.nodes.mask[:12]]
         gone = SCENE.nodes.label[~cut.survivors.nodes.mask[:12]]
         assert len(gone) == 0 or kept.max() <= gone.min()
@@ -107,9 +154,9 @@ def test_steps__are_uniform_over_the_graphs_of_a_trajectory(cuts):
     np.testing.assert_allclose(frequencies, [1 / 3, 0, 1 / 3, 0, 1 / 3], atol=0.06)
 
 
-def test_survivors_and_block__make_the_graph_of_the_next_step(cuts):
+def test_survivors_and_block__make_the_graph_of_the_next_step(some_cuts):
     """What is missing after the block is what the survivors and the block do not hold."""
-    for cut in each(cuts):
+    for cut in some_cuts:
         slots = [find(position) for position in cut.block.position[cut.block.mask]]
         after = cut.survivors.nodes.mask.copy()
         after[slots] = True
@@ -121,8 +168,7 @@ def test_survivors_and_block__make_the_graph_of_the_next_step(cuts):
 
 
 def test_cut__does_not_depend_on_what_is_in_the_padding(cuts):
-    keys = jax.random.split(jax.random.key(0), 600)
-    spoilt = cut_graph(with_garbage(on_device(SCENE), 0), keys)
+    spoilt, _ = draw_by_coins(with_garbage(on_device(SCENE), 0), keys_of(0))
     for found, expected in zip(spoilt[1:], cuts[1:], strict=True):
         jax.tree.map(np.testing.assert_array_equal, found, expected)
     for mask in ("nodes", "edges"):
@@ -135,7 +181,7 @@ def test_a_graph_of_planes_only__is_complete_and_has_no_block():
     label = jnp.zeros_like(graph.nodes.label)
     nodes = graph.nodes._replace(label=label, observed=graph.nodes.mask)
     planes = graph._replace(nodes=nodes)
-    cut = cut_graph(planes, jax.random.split(jax.random.key(1), 3))
+    cut, _ = draw_by_coins(planes, keys_of(1))
     assert cut.complete.all()
     assert not cut.has_block.any()
     assert not cut.inserted.any()
@@ -144,17 +190,8 @@ def test_a_graph_of_planes_only__is_complete_and_has_no_block():
 
 def test_continuations__are_drawn_as_the_blocks_of_cuts_with_the_same_survivors():
     """One node at a time: each missing node of the next layer is as likely as another."""
-    graph = on_device(SCENE)
-
-    @jax.jit
-    def draw(key):
-        key_cut, key_blocks = jax.random.split(key)
-        cut = draw_cut(graph, key_cut, (1,))
-        return cut, draw_continuations(graph, cut, key_blocks, 64)
-
     seen = set()
-    for seed in range(20):
-        cut, blocks = jax.tree.map(np.asarray, draw(jax.random.key(seed)))
+    for cut, blocks in first_of(drawing(64, (1,))(on_device(SCENE), keys_of(0, 20)), 20):
         old = cut.survivors.nodes.mask
         missing = [slot for slot in range(len(SCENE.nodes.label)) if not old[slot]]
         assert (blocks.mask == cut.has_block).all()
@@ -172,16 +209,8 @@ def test_continuations__are_drawn_as_the_blocks_of_cuts_with_the_same_survivors(
     assert {count for _, count in seen} >= {1, 2}
 
 
-def test_continuations__are_blocks_as_large_as_that_of_the_cut():
-    graph = on_device(SCENE)
-    draw = jax.jit(
-        lambda key: (
-            cut := draw_cut(graph, key, COINS),
-            draw_continuations(graph, cut, jax.random.fold_in(key, 1), 3),
-        )
-    )
-    for seed in range(6):
-        cut, blocks = draw(jax.random.key(seed))
+def test_continuations__are_blocks_as_large_as_that_of_the_cut(drawn):
+    for cut, blocks in first_of(drawn, 20):
         np.testing.assert_array_equal(blocks.mask, np.broadcast_to(cut.block.mask, (3, 2)))
         inner = blocks.edges[:, :, :2]
         np.testing.assert_array_equal(inner, np.swapaxes(inner, 1, 2))
@@ -191,10 +220,10 @@ def test_continuations__are_blocks_as_large_as_that_of_the_cut():
 
 
 def test_extracted_blocks__hold_the_nodes_of_their_ranks_and_what_comes_before():
-    graph = on_device(SCENE)
-    rank = jnp.where(graph.nodes.observed, -1, 3 - (jnp.arange(16) - NUM_PLANES))
-    rank = jnp.where(graph.nodes.mask, rank, 16)  # the floor first, the wall last
-    block = extract_block(graph, rank, jnp.asarray(1), jnp.asarray(2), 3)
+    rank = np.r_[[-1] * NUM_PLANES, 3, 2, 1, 0, [16] * 4]  # the floor first, the wall last
+    extract = jax.jit(extract_block, static_argnames="capacity")
+    block = extract(on_device(SCENE), rank, 1, 2, capacity=3)
+    block = jax.tree.map(np.asarray, block)
     np.testing.assert_array_equal(block.mask, [True, True, False])
     np.testing.assert_array_equal(block.label[:2], SCENE.nodes.label[[10, 9]])
     np.testing.assert_allclose(block.position[:2], SCENE.nodes.position[[10, 9]], rtol=1e-6)
@@ -209,19 +238,13 @@ def test_extracted_blocks__hold_the_nodes_of_their_ranks_and_what_comes_before()
 def test_cuts_and_continuations__are_of_what_grows_in_any_ontology():
     scene = own_world.own_world()
     graph, num_given = on_device(scene, Capacity(24, 288)), own_world.NUM_OBSERVED
-    truth = np.asarray(part_of_adjacency(graph))
+    truth = truth_of(scene, 24)
     near = undirected_edges(scene, PROXIMITY)
     layers = ("floor", "room", "wall", "flat")
-
-    @jax.jit
-    def draw(key):
-        cut = draw_cut(graph, key, (1, 2), "H", layers)
-        return cut, draw_continuations(graph, cut, jax.random.fold_in(key, 1), 8, layers)
-
+    drawn = drawing(8, COINS, layers)(graph, keys_of(0, 12))
     place = np.array([layers.index(name) if name in layers else -1 for name in scene.globals.names])
     seen = set()
-    for seed in range(12):
-        cut, blocks = jax.tree.map(np.asarray, draw(jax.random.key(seed)))
+    for cut, blocks in first_of(drawn, 12):
         old = cut.survivors.nodes.mask
         assert old[:num_given].all()
         np.testing.assert_array_equal(cut.survivors.nodes.observed, np.arange(24) < num_given)
@@ -244,20 +267,17 @@ def test_cuts_and_continuations__are_of_what_grows_in_any_ontology():
     assert len(seen) > 4
 
 
-def test_cuts_of_any_kind__lack_any_nodes_and_ask_for_the_first_of_them():
+def test_cuts_of_any_kind__lack_any_nodes_and_ask_for_the_first_of_them(any_cuts):
     """Every set of the grown nodes occurs; the block comes from the lowest layer that lacks any."""
-    graph = on_device(SCENE)
-    draw = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=1.0)))
-    cuts = jax.tree.map(np.asarray, draw(jax.random.split(jax.random.key(3), 600)))
-    label, grown = SCENE.nodes.label, ~SCENE.nodes.observed
-    seen = set()
-    for cut in each(cuts):
-        here = cut.survivors.nodes.mask[: len(label)]
-        assert here[~grown].all()
-        missing = np.flatnonzero(grown & ~here)
-        seen.add(tuple(missing))
-        assert cut.complete == (len(missing) == 0) == (not cut.has_block)
-        assert cut.inserted == (here & grown).any()
+    cuts, (label, grown) = any_cuts[0], (SCENE.nodes.label, ~SCENE.nodes.observed)
+    here = cuts.survivors.nodes.mask[:, : len(label)]
+    assert here[:, ~grown].all()
+    assert len(np.unique(here, axis=0)) == 2 ** grown.sum()
+    np.testing.assert_array_equal(cuts.complete, here.all(axis=1))
+    np.testing.assert_array_equal(cuts.has_block, ~cuts.complete)
+    np.testing.assert_array_equal(cuts.inserted, here[:, grown].any(axis=1))
+    for cut in first_of(cuts, 300):
+        missing = np.flatnonzero(~cut.survivors.nodes.mask[: len(label)])
         if len(missing):
             node = find(cut.block.position[0])
             assert node in missing
@@ -265,23 +285,20 @@ def test_cuts_of_any_kind__lack_any_nodes_and_ask_for_the_first_of_them():
             np.testing.assert_array_equal(
                 cut.block.edges[0, 1:], TRUTH[node] & cut.survivors.nodes.mask
             )
-    assert len(seen) == 2 ** grown.sum()
 
 
-def test_cuts_of_any_kind__are_the_share_of_them_that_is_asked_for():
+def test_cuts_of_any_kind__are_the_share_of_them_that_is_asked_for(any_cuts):
     """The others lack the last nodes of the order alone: nothing stands on what is missing."""
-    graph = on_device(SCENE)
+
+    def share_out_of_order(here):  # a wall or a room is missing below a higher node
+        here, label = here[:, : len(SCENE.nodes.label)], SCENE.nodes.label
+        highest = np.where(here, label, -1).max(axis=1)
+        return np.mean(highest > np.where(here, 99, label).min(axis=1))
+
+    graph, always = on_device(SCENE), any_cuts[0].survivors.nodes.mask
     draw = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=0.3)))
-    here = np.asarray(draw(jax.random.split(jax.random.key(4), 2000)).survivors.nodes.mask)
-    here, label = here[:, : len(SCENE.nodes.label)], SCENE.nodes.label
-    highest = np.where(here, label, -1).max(axis=1)
-    lowest = np.where(here, 99, label).min(axis=1)
-    out_of_order = np.mean(highest > lowest)  # a wall or a room is missing below a higher node
-    always = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=1.0)))
-    here = np.asarray(always(jax.random.split(jax.random.key(5), 2000)).survivors.nodes.mask)
-    here = here[:, : len(label)]
-    share = np.mean(np.where(here, label, -1).max(axis=1) > np.where(here, 99, label).min(axis=1))
-    assert abs(out_of_order - 0.3 * share) < 0.03
+    sometimes = np.asarray(draw(keys_of(4, 2000)).survivors.nodes.mask)
+    assert abs(share_out_of_order(sometimes) - 0.3 * share_out_of_order(always)) < 0.03
 
 
 def test_a_hole__is_around_one_node():
@@ -297,20 +314,12 @@ def test_a_hole__is_around_one_node():
     assert 0.45 < run[four].mean() < 0.65  # of the others, 6 of 126 are a run
 
 
-def test_continuations__of_any_cut_come_next_and_know_all_that_is_there():
-    graph = on_device(SCENE)
-
-    def draw(key):
-        key_cut, key_blocks = jax.random.split(key)
-        cut = draw_cut(graph, key_cut, (1,), any_cuts=1.0)
-        return cut, draw_continuations(graph, cut, key_blocks, 6)
-
-    cuts, blocks = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(6), 100))
+def test_continuations__of_any_cut_come_next_and_know_all_that_is_there(any_cuts):
     label, grown = SCENE.nodes.label, ~SCENE.nodes.observed
-    for index, cut in enumerate(each(cuts)):
-        here = np.asarray(cut.survivors.nodes.mask)
+    for cut, blocks in first_of(any_cuts, 100):
+        here = cut.survivors.nodes.mask
         missing = np.flatnonzero(grown & ~here[: len(label)])
-        for block in each_block(jax.tree.map(lambda leaf, i=index: leaf[i], blocks)):
+        for block in each_block(blocks):
             assert block.mask.any() == bool(len(missing))
             if len(missing):
                 node = find(block.position[0])

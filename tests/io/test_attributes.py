@@ -132,7 +132,7 @@ JSON_VALUES = st.recursive(
     values=st.lists(JSON_VALUES, min_size=12, max_size=12),
 )
 @settings(
-    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_any_ids_and_values_survive(tmp_path, to, ids, values):
     held = [{"id": name, "seen": value} for name, value in zip(ids, values, strict=True)]

@@ -12,7 +12,7 @@ from sg3d_jax.io.s_graphs import planes_to_message
 from sg3d_jax.scene.graph import observed_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
 
-NUM_GRAPHS = 60  # benchmarks/round_trips.py takes 500
+NUM_GRAPHS = 18  # benchmarks/round_trips.py takes 500
 SUFFIX = {"graphml": ".graphml", "npz": ".npz"}  # of a file with one graph; .json for the others
 
 
@@ -136,15 +136,3 @@ def test_a_file_of_nothing_known_is_refused(name, content, sentence, tmp_path):
     with pytest.raises(ValueError, match=sentence) as caught:
         read_graphs(path)
     assert str(caught.value).startswith(str(path))
-
-
-@pytest.fixture(scope="module")
-def originals(tmp_path_factory):
-    """The same small scene in a file of every format, and as a pickle in a zip."""
-    folder = tmp_path_factory.mktemp("originals")
-    graph = registry.make("s-f", 1)[0]
-    paths = []
-    for to in FORMATS:
-        paths.append(folder / f"{to}{SUFFIX.get(to, '.json')}")
-        write_graphs(paths[-1], [graph], to)
-    return graph, {path: path.read_bytes() for path in paths}

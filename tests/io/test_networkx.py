@@ -291,7 +291,7 @@ def places(document):
             yield from places(value)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=60)
 @given(data=st.data())
 def test_a_corrupted_document_is_refused_or_means_what_it_says(data):
     document = graph_to_node_link(one_room())

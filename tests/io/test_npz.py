@@ -255,7 +255,7 @@ def test_generated_graphs_may_break_the_hierarchy_if_asked(tmp_path):
 
 
 files = settings(
-    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 

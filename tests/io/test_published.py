@@ -152,6 +152,7 @@ def test_what_graphs_share_is_in_each_of_them(graphs, protocol, path):
         assert_same_graph(graph, graphs[0])
 
 
+@pytest.mark.usefixtures("_unchecked")
 def test_one_graph_at_a_time_is_kept(graphs, path, monkeypatch):
     monkeypatch.setattr(gc, "collect", lambda: 0)  # takes long with all that tests have imported
     path.write_bytes(pickle.dumps([published(graphs[0], seed) for seed in range(20)]))
@@ -193,6 +194,7 @@ def test_a_zip_is_opened_whatever_is_beside_the_pickle(graphs, name, tmp_path):
         assert_same_graph(read, graph)
 
 
+@pytest.mark.usefixtures("_unchecked")
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the authors' sample is not here")
 @pytest.mark.parametrize(("name", "count"), [("S-F", 20), ("S-C", 12)])
 def test_graphs_of_the_original_generator_are_read_as_unpickled(name, count):
@@ -265,6 +267,7 @@ def places_for(value, graph):
 HOSTILE = sorted(hostile_calls("x"))
 
 
+@pytest.mark.usefixtures("_unchecked")
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 @pytest.mark.parametrize("name", HOSTILE)
 def test_what_a_pickle_would_run_is_named_and_not_run(graphs, name, protocol, path, tmp_path):
@@ -353,6 +356,7 @@ WORDS = {
 }
 
 
+@pytest.mark.usefixtures("_unchecked")
 @pytest.mark.parametrize("attack", WORDS)
 def test_a_word_that_does_more_than_build_values_is_refused(attack, path):
     words, sentence = WORDS[attack]
@@ -437,6 +441,7 @@ def test_what_is_wrong_with_the_pickle_is_told_before_what_is_wrong_with_a_graph
     assert refusal(path).startswith("the pickle holds no list")
 
 
+@pytest.mark.usefixtures("_unchecked")
 def test_a_deeply_nested_value_is_refused(graphs, path):
     pickled = pickle.dumps([changed(graphs[0], "room", center=["here"])], 4)
     assert b"\x8c\x04here" in pickled

@@ -1,7 +1,4 @@
-import functools
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +8,7 @@ from sg3d_jax.metrics.entropic import entropic_fgw, fused_penalty, round_to_feas
 from sg3d_jax.metrics.fgw import FGW, fgw
 from sg3d_jax.metrics.fgw_problem import mass_of_nodes, pose
 from sg3d_jax.scene.graph import SceneGraph
-from sg3d_jax.scene.padding import Capacity, pad, stack
+from sg3d_jax.scene.padding import Capacity, pad
 from tests import own_world
 from tests.metrics.fgw_reference import (
     CAPACITY,
@@ -23,6 +20,7 @@ from tests.metrics.fgw_reference import (
     pot,
     random_pairs,
     reference_costs,
+    reference_fgw,
     structure_of,
 )
 
@@ -41,13 +39,14 @@ def smooth_scores() -> list[FGW]:
 
 
 def test_entropic_value__is_near_the_exact_one_and_polish_brings_it_there(smooth_scores):
-    stacked = stack(GENERATED, CAPACITY), stack(TRUTH, CAPACITY)
-    exact = jax.vmap(fgw)(*stacked).value
-    polished = jax.vmap(functools.partial(entropic_fgw, polish=True))(*stacked)
-    assert polished.converged.all()
+    pairs = [[on_device(graph) for graph in pair] for pair in zip(GENERATED, TRUTH, strict=True)]
+    exact = np.array([fgw(*pair).value for pair in pairs])
+    polished = [entropic_fgw(*pair, polish=True) for pair in pairs]
+    assert all(score.converged for score in polished)
     # Either may end in the better local optimum; on most pairs both find the same.
-    np.testing.assert_allclose(np.median(polished.value / exact), 1, atol=1e-5)
-    assert np.mean(polished.value / exact) < 1.02
+    ratio = np.array([score.value for score in polished]) / exact
+    np.testing.assert_allclose(np.median(ratio), 1, atol=1e-5)
+    assert np.mean(ratio) < 1.02
     near = np.array([score.value for score in smooth_scores]) / exact
     assert np.median(near) < 1.05
     assert all(score.converged for score in smooth_scores)
@@ -90,7 +89,7 @@ def test_penalty__makes_the_plan_the_one_that_pot_finds_with_the_same_entropy(al
 
 
 @given(st.integers(0, len(TRUTH) - 1), st.integers(0, 999))
-@settings(deadline=None, max_examples=6)
+@settings(deadline=None, max_examples=3)
 def test_entropic_value__does_not_depend_on_padding_or_the_order_of_nodes(index, seed):
     rng = np.random.default_rng(seed)
     pair = GENERATED[index], TRUTH[index]
@@ -124,23 +123,22 @@ def test_entropic_fgw__of_host_graphs_does_not_depend_on_where_they_stand(smooth
 def test_entropic_fgw__of_a_made_up_ontology_is_near_the_exact_one():
     truth = own_world.own_world()
     made = perturb(np.random.default_rng(0), truth, 1, 0.1)
-    capacity = Capacity(24, 288)
-    exact = fgw(on_device(made, capacity), on_device(truth, capacity)).value
-    assert 0.1 < exact <= smooth(made, truth, capacity).value < 1.1 * exact
+    exact, _, _ = reference_fgw(*reference_costs(made, truth), 0.5)
+    assert 0.1 < exact <= smooth(made, truth).value < 1.1 * exact
 
 
 def test_rounding__changes_an_infeasible_plan_no_more_than_its_marginals_are_wrong():
-    mass = mass_of_nodes(pose(on_device(GENERATED[0]), on_device(TRUTH[0])))
-    plan = (
-        mass[:, None]
-        * mass[None, :]
-        * jnp.asarray(
-            np.random.default_rng(0).uniform(0.5, 1.5, (len(mass), len(mass))), jnp.float32
-        )
-    )
-    rounded = round_to_feasible(plan, mass)
+    @jax.jit
+    def problem_mass(generated, truth):
+        return mass_of_nodes(pose(generated, truth))
+
+    mass = np.asarray(problem_mass(on_device(GENERATED[0]), on_device(TRUTH[0])))
+    noise = np.random.default_rng(0).uniform(0.5, 1.5, (len(mass), len(mass)))
+    plan = np.float32(mass[:, None] * mass[None, :] * noise)
+    round_compiled = jax.jit(round_to_feasible)
+    rounded = np.asarray(round_compiled(plan, mass))
     for axis in (0, 1):
         np.testing.assert_allclose(rounded.sum(axis), mass, atol=1e-7)
-    wrong = sum(float(jnp.abs(plan.sum(axis) - mass).sum()) for axis in (0, 1))
-    assert float(jnp.abs(rounded - plan).sum()) <= 2 * wrong
-    np.testing.assert_allclose(round_to_feasible(rounded, mass), rounded, atol=1e-7)
+    wrong = sum(np.abs(plan.sum(axis) - mass).sum() for axis in (0, 1))
+    assert np.abs(rounded - plan).sum() <= 2 * wrong
+    np.testing.assert_allclose(round_compiled(rounded, mass), rounded, atol=1e-7)

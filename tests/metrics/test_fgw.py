@@ -41,9 +41,17 @@ from tests.metrics.fgw_reference import (
 LOOSE = Capacity(32, 384)
 
 
+batched = jax.vmap(fgw)
+
+
 @pytest.fixture(scope="module")
 def pairs() -> tuple[list[SceneGraph], list[SceneGraph]]:
     return random_pairs()
+
+
+@pytest.fixture(scope="module")
+def costs(pairs) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    return [reference_costs(*pair) for pair in zip(*pairs, strict=True)]
 
 
 def one(generated: SceneGraph, truth: SceneGraph, capacity: Capacity = CAPACITY) -> FGW:
@@ -52,9 +60,9 @@ def one(generated: SceneGraph, truth: SceneGraph, capacity: Capacity = CAPACITY)
 
 @pytest.mark.parametrize("reference", [reference_fgw, pot_fgw])
 @pytest.mark.parametrize("alpha", [0.5, 0.2])
-def test_fgw__agrees_with_other_solvers(pairs, reference, alpha):
+def test_fgw__agrees_with_other_solvers(pairs, costs, reference, alpha):
     scores = fgw_pairs(*pairs, alpha)
-    expected = [reference(*reference_costs(*pair), alpha) for pair in zip(*pairs, strict=True)]
+    expected = [reference(*cost, alpha) for cost in costs]
     found = np.stack([scores.value, scores.gw, scores.w], axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-4)
     assert scores.converged.all()
@@ -62,9 +70,9 @@ def test_fgw__agrees_with_other_solvers(pairs, reference, alpha):
 
 
 @pytest.mark.parametrize("alpha", [0.5, 0.2])
-def test_fgw__with_the_squared_loss_agrees_with_pots_own_solver(pairs, alpha):
+def test_fgw__with_the_squared_loss_agrees_with_pots_own_solver(pairs, costs, alpha):
     scores = fgw_pairs(*pairs, alpha, loss="squared")
-    expected = [pot_squared(*reference_costs(*pair), alpha) for pair in zip(*pairs, strict=True)]
+    expected = [pot_squared(*cost, alpha) for cost in costs]
     found = np.stack([scores.value, scores.gw, scores.w], axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
@@ -84,6 +92,7 @@ def test_fgw__agrees_with_pot_on_floors(name):
 
 
 def test_fgw__is_as_good_as_the_best_of_ten_random_starts(pairs):
+    @jax.jit
     def best_of_ten(generated, truth, orders):
         problem = pose(generated, truth)
 
@@ -95,26 +104,27 @@ def test_fgw__is_as_good_as_the_best_of_ten_random_starts(pairs):
             )
             return jnp.sum((problem.features + found.structure) * found.plan) / 2
 
-        return jnp.min(jax.vmap(from_order)(orders))
+        return jnp.min(jax.lax.map(from_order, orders))
 
     orders = np.random.default_rng(0).random((len(pairs[0]), 10, CAPACITY.nodes), np.float32)
-    best = jax.jit(jax.vmap(best_of_ten))(*(stack(side, CAPACITY) for side in pairs), orders)
-    assert np.mean(fgw_pairs(*pairs).value / best) < 1.001
+    sides = ([on_device(graph) for graph in side] for side in pairs)
+    best = [best_of_ten(*each) for each in zip(*sides, orders, strict=True)]
+    assert np.mean(fgw_pairs(*pairs).value / np.array(best)) < 1.001
 
 
-def test_scale__is_what_counts_as_distance_one(pairs):
+def test_scale__is_what_counts_as_distance_one(pairs, costs):
     generated, truth = (on_device(side[3]) for side in pairs)
-    planes = truth.nodes.position[truth.nodes.mask & (truth.nodes.label == PLANE)]
-    spread = float(np.sqrt(np.var(planes, axis=0)[:2].mean()))
-    longest = float(pose(generated, truth).unit)
+    nodes = pairs[1][3].nodes
+    spread = float(np.sqrt(np.var(nodes.position[nodes.label == PLANE], axis=0)[:2].mean()))
+    hops = costs[3][1]  # as shares of the longest
+    longest = float(round(1 / hops[hops > 0].min()))
     paper = fgw(generated, truth)
     same = fgw(generated, truth, scale=Scale(metres=spread, hops=longest))
     np.testing.assert_allclose(same[:3], paper[:3], rtol=1e-5)
     # Of GW alone, the plan does not depend on the unit; a power of two rounds nothing.
     half = Scale(metres=2 * spread, hops=2 * longest)
-    np.testing.assert_allclose(
-        fgw(generated, truth, 1.0, half).gw, fgw(generated, truth, 1.0).gw / 2
-    )
+    halved, whole = fgw(generated, truth, 1.0, half).gw, fgw(generated, truth, 1.0).gw
+    np.testing.assert_allclose(halved, np.asarray(whole) / 2)
 
 
 def test_plan__has_uniform_marginals_and_gives_the_energies_by_brute_force(pairs):
@@ -138,7 +148,7 @@ def test_plan__has_uniform_marginals_and_gives_the_energies_by_brute_force(pairs
 
 
 @given(st.integers(1, 3), st.integers(0, 4), st.sampled_from([0.0, 0.3, 1.0]), st.integers(0, 999))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=15)
 def test_fgw__does_not_depend_on_padding_or_the_order_of_nodes(rooms, drop, share, seed):
     rng = np.random.default_rng(seed)
     truth = random_hierarchy(rng, rooms)
@@ -166,16 +176,16 @@ def at(graph: SceneGraph, offset: np.ndarray) -> SceneGraph:
 
 
 def test_fgw__of_host_graphs_does_not_depend_on_where_they_stand(pairs):
-    near = [fgw(*(pad(graph, CAPACITY) for graph in pair)) for pair in zip(*pairs, strict=True)]
-    far = [
-        fgw(*(pad(at(graph, UTM), CAPACITY) for graph in pair)) for pair in zip(*pairs, strict=True)
-    ]
+    def values(sides, place):
+        padded = ([place(graph, CAPACITY) for graph in side] for side in sides)
+        return np.array([fgw(*pair).value for pair in zip(*padded, strict=True)])
+
     moved = [[at(graph, UTM) for graph in side] for side in pairs]
-    np.testing.assert_allclose([s.value for s in far], [s.value for s in near], atol=1e-6)
-    np.testing.assert_allclose([s.value for s in far], fgw_pairs(*moved).value, atol=1e-6)
+    near, far = values(pairs, pad), values(moved, pad)
+    np.testing.assert_allclose(far, near, atol=1e-6)
+    np.testing.assert_allclose(far, fgw_pairs(*moved).value, atol=1e-6)
     # On the device the metres are lost before fgw sees them.
-    late = [one(at(made, UTM), at(true, UTM)) for made, true in zip(*pairs, strict=True)]
-    assert max(abs(s.value - n.value) / n.value for s, n in zip(late, near, strict=True)) > 0.01
+    assert np.max(np.abs(values(moved, on_device) - near) / near) > 0.01
 
 
 def test_centring__leaves_alone_what_is_on_the_device_or_traced(pairs):
@@ -184,8 +194,12 @@ def test_centring__leaves_alone_what_is_on_the_device_or_traced(pairs):
     mixed = pad(pairs[0][2], CAPACITY), pair[1]
     assert all(new is old for new, old in zip(centred(*mixed), mixed, strict=True))
     expected = fgw(*pair).value
-    host = [pad(side[2], CAPACITY) for side in pairs]
-    np.testing.assert_array_equal(jax.jit(fgw)(*host).value, jax.jit(fgw)(*pair).value)
+    host = [
+        jax.tree.map(lambda *leaves: np.stack(leaves), *(pad(graph, CAPACITY) for graph in side))
+        for side in pairs
+    ]
+    device = [stack(side, CAPACITY) for side in pairs]
+    np.testing.assert_array_equal(batched(*host).value, batched(*device).value)
     far = [pad(at(side[2], UTM), CAPACITY) for side in pairs]
     np.testing.assert_allclose(jax.jit(lambda: fgw(*far).value)(), expected, atol=1e-6)
 
@@ -251,8 +265,8 @@ def test_fgw__of_empty_single_and_disconnected_graphs_is_finite():
 
 
 def test_fgw__in_a_vmap_is_that_of_every_pair_alone(pairs):
-    batched = jax.vmap(fgw)(*(stack(side, CAPACITY) for side in pairs))
-    np.testing.assert_allclose(batched.value, fgw_pairs(*pairs).value, atol=1e-6)
+    found = batched(*(stack(side, CAPACITY) for side in pairs)).value
+    np.testing.assert_allclose(found, fgw_pairs(*pairs).value, atol=1e-6)
 
 
 def test_fgw_pairs__keeps_the_order_across_buckets_and_calls(pairs):
@@ -270,33 +284,31 @@ def test_fgw_pairs__compiles_once_a_bucket_whatever_the_number_of_pairs(pairs):
     assert _fgw_stacked._cache_size() == compiled
 
 
+def value(position, generated, truth):
+    return fgw(placed(generated, position), truth).value
+
+
 def test_gradient__of_the_positions_is_that_of_finite_differences(pairs):
-    generated, truth = (jax.tree.map(jnp.asarray, pad(side[2], CAPACITY)) for side in pairs)
-
-    def value(position):
-        return fgw(
-            generated._replace(nodes=generated.nodes._replace(position=position)), truth
-        ).value
-
-    position = generated.nodes.position
-    gradient = jax.grad(value)(position)
-    assert jnp.isfinite(gradient).all()
-    node = int(jnp.argmax(jnp.abs(gradient[:, 0])))
-    step = 1e-2
-    sides = [value(position.at[node, 0].add(sign * step)) for sign in (1, -1)]
+    generated, truth = (on_device(side[2]) for side in pairs)
+    position = np.array(generated.nodes.position)
+    gradient = np.asarray(jax.grad(value)(jnp.asarray(position), generated, truth))
+    assert np.isfinite(gradient).all()
+    node, step = np.argmax(np.abs(gradient[:, 0])), 1e-2
+    sides = []
+    for sign in (1, -1):
+        aside = position.copy()
+        aside[node, 0] += sign * step
+        sides.append(float(value(jnp.asarray(aside), generated, truth)))
     np.testing.assert_allclose(gradient[node, 0], (sides[0] - sides[1]) / (2 * step), rtol=2e-2)
 
 
 def test_gradient__against_a_host_truth_is_that_against_one_on_the_device(pairs):
     generated, truth = (pad(side[2], CAPACITY) for side in pairs)
-
-    def value(position, truth):
-        return fgw(placed(generated, position), truth).value
-
     position = jnp.asarray(generated.nodes.position)
-    found = jax.grad(value)(position, truth)
-    assert jnp.abs(found).max() > 0.01
-    np.testing.assert_array_equal(found, jax.grad(value)(position, on_device(pairs[1][2])))
+    found = np.asarray(jax.grad(value)(position, generated, truth))
+    assert np.abs(found).max() > 0.01
+    expected = jax.grad(value)(position, generated, on_device(pairs[1][2]))
+    np.testing.assert_array_equal(found, expected)
 
 
 def own_pairs() -> tuple[list[SceneGraph], list[SceneGraph]]:
@@ -330,7 +342,7 @@ def test_fgw__measures_from_all_that_is_observed():
     higher = position + np.array([[0, 0, 0]] * 3 + [[0, 0, 1]])
     off = graph_of(label, higher, pairs, own_world.ONTOLOGY)
     spread = np.sqrt(np.var([0.0, 2.0, 7.0]) / 2)
-    np.testing.assert_allclose(one(off, truth).w, 1 / spread / 4, rtol=1e-5)
+    np.testing.assert_allclose(one(off, truth, LOOSE).w, 1 / spread / 4, rtol=1e-5)
 
 
 def test_graphs_of_different_ontologies_are_refused():

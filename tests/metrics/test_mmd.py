@@ -94,7 +94,7 @@ def test_histogram_scores__are_those_of_networkx_and_numpy():
 
 
 def test_gin_score__is_the_mean_over_networks_of_standardised_embeddings():
-    generated, reference = random_scenes(6, 0.3, seed=0), random_scenes(5, 0.15, seed=50)
+    generated, reference = random_scenes(9, 0.3, seed=0), random_scenes(7, 0.15, seed=50)
     expected = []
     for network in range(10):
         left, right = (embeddings(graphs, network) for graphs in (generated, reference))
@@ -110,7 +110,7 @@ def test_gin_score__is_the_mean_over_networks_of_standardised_embeddings():
     assert mmd_scores(generated, reference, gin_seed=1)["gin"] != pytest.approx(found["gin"])
 
 
-@given(st.integers(0, 1000), st.integers(1, 6))
+@given(st.integers(0, 1000), st.sampled_from([1, 3]))
 @settings(deadline=None, max_examples=10)
 def test_equal_sets__score_zero_in_whatever_order_their_graphs_and_nodes_come(seed, number):
     graphs = random_scenes(number, 0.3, seed)
@@ -119,7 +119,7 @@ def test_equal_sets__score_zero_in_whatever_order_their_graphs_and_nodes_come(se
 
 
 def test_scores__ignore_padding_and_proximity_edges():
-    generated, reference = random_scenes(4, 0.3, seed=0), random_scenes(4, 0.15, seed=50)
+    generated, reference = random_scenes(3, 0.3, seed=0), random_scenes(3, 0.15, seed=50)
     near = [scene(as_networkx(graph), proximity=[(0, 1), (2, 4)]) for graph in generated]
     padded = [pad(graph, Capacity(24, 512)) for graph in near]
     expected = mmd_scores(generated, reference)
@@ -138,7 +138,7 @@ def test_score__is_two_where_the_sets_have_nothing_in_common():
     ids=["single node", "no edges", "disconnected"],
 )
 def test_odd_graphs__are_scored(odd):
-    scores = mmd_scores([scene(odd)] * 2, random_scenes(3, 0.3, seed=0))
+    scores = mmd_scores([scene(odd)] * 3, random_scenes(3, 0.3, seed=0))
     assert all(0 <= score <= 2 for score in scores.values())
     assert scores["degree"] > 0.1
 
@@ -169,7 +169,7 @@ def test_scores_of_arrays__work_in_float32_and_have_finite_gradients():
     left, right = rng.random((5, 8), np.float32), rng.random((6, 8), np.float32)
     right[:, 3] = 0.5  # what does not vary over the reference is not standardised
     for mmd in (histogram_mmd, embedding_mmd):
-        value, gradient = jax.value_and_grad(mmd)(left, right)
+        value, gradient = jax.jit(jax.value_and_grad(mmd))(left, right)
         assert value.dtype == np.float32
         assert 0 < value <= 2
         assert np.isfinite(gradient).all()

@@ -1,5 +1,4 @@
 import jax
-import jax.numpy as jnp
 import networkx as nx
 import numpy as np
 from hypothesis import given, settings
@@ -28,6 +27,7 @@ def padded(graph: nx.Graph) -> tuple[np.ndarray, np.ndarray]:
     return adjacency, np.arange(CAPACITY) < count
 
 
+find_hops = jax.jit(hop_distances)
 batched_hops = jax.jit(jax.vmap(hop_distances))
 
 
@@ -35,7 +35,7 @@ batched_hops = jax.jit(jax.vmap(hop_distances))
     st.lists(st.tuples(st.integers(1, CAPACITY), st.floats(0, 0.4)), min_size=3, max_size=3),
     st.integers(0, 1000),
 )
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=30)
 def test_hops__are_those_of_networkx_in_a_batch_of_unequal_graphs(sizes, seed):
     graphs = [nx.gnp_random_graph(size, p, seed=seed) for size, p in sizes]
     adjacency, mask = (np.stack(field) for field in zip(*map(padded, graphs), strict=True))
@@ -51,13 +51,12 @@ def test_unconnected_nodes_are_one_hop_further_than_the_longest_path_that_is_lef
     for cuts, expected in (((2,), 3), ((1, 3), 2), ((0, 1, 2, 3), 1)):
         path = nx.path_graph(5)
         path.remove_edges_from([(cut, cut + 1) for cut in cuts])
-        adjacency, mask = padded(path)
-        assert hop_distances(jnp.asarray(adjacency), jnp.asarray(mask))[0, 4] == expected
+        assert np.asarray(find_hops(*padded(path)))[0, 4] == expected
 
 
 def test_longest_possible_path():
-    adjacency, mask = padded(nx.path_graph(CAPACITY))
-    assert hop_distances(jnp.asarray(adjacency), jnp.asarray(mask))[0, -1] == CAPACITY - 1
+    hops = np.asarray(find_hops(*padded(nx.path_graph(CAPACITY))))
+    assert hops[0, -1] == CAPACITY - 1
 
 
 def test_paths_longer_than_the_exponents_of_float32_reach():
@@ -65,17 +64,17 @@ def test_paths_longer_than_the_exponents_of_float32_reach():
     count = 520
     ends = np.arange(count)
     adjacency = np.abs(ends[:, None] - ends[None, :]) == 1
-    hops = hop_distances(jnp.asarray(adjacency), jnp.ones(count, bool))
+    hops = find_hops(adjacency, np.ones(count, bool))
     np.testing.assert_array_equal(hops, np.abs(ends[:, None] - ends[None, :]))
 
 
 def test_ties_between_many_shortest_paths_do_not_shorten_them():
     # All of the middle layer lies between both ends: the sum of the most terms there can be.
-    graph = nx.complete_bipartite_graph(2, 1021)
-    adjacency = jnp.asarray(nx.to_numpy_array(graph) > 0)
-    hops = np.asarray(hop_distances(adjacency, jnp.ones(len(adjacency), bool)))
-    assert hops[0, 1] == 2
-    np.testing.assert_array_equal(hops, hops_of_networkx(graph))
+    is_end = np.arange(1023) < 2
+    adjacency = is_end[:, None] != is_end[None]
+    hops = find_hops(adjacency, np.ones(1023, bool))
+    expected = np.where(adjacency, 1, 2) - 2 * np.eye(1023, dtype=int)
+    np.testing.assert_array_equal(hops, expected)
 
 
 def test_proximity_edges_are_no_path():
@@ -87,5 +86,5 @@ def test_proximity_edges_are_no_path():
         part_of=[[0, 2], [2, 3]],
         proximity=[[0, 1]],
     )
-    hops = part_of_hops(jax.tree.map(jnp.asarray, pad(graph, Capacity(5, 8))))
+    hops = np.asarray(jax.jit(part_of_hops)(pad(graph, Capacity(5, 8))))
     np.testing.assert_array_equal(hops[0], [0, 3, 1, 2, 0])

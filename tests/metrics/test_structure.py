@@ -205,7 +205,7 @@ def as_networkx(graph: SceneGraph) -> nx.Graph:
 
 
 @given(st.data())
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 def test_exact_structure__is_isomorphism_with_planes_fixed(data):
     # Few planes and many rooms without any: symmetric forests, the hard case.
     rooms = data.draw(st.lists(st.sampled_from([0, 0, 1, 2]), min_size=1, max_size=5))

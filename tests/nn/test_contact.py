@@ -1,7 +1,6 @@
 """Contacts are the observed nodes whose extents come closest."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -14,6 +13,12 @@ from sg3d_jax.scene.padding import Capacity
 from tests.two_rooms import on_device
 
 CAPACITY = Capacity(24, 96)
+
+connect_compiled = jax.jit(connect_contacts, static_argnums=1)
+
+
+def connected(graph, k):
+    return jax.tree.map(np.asarray, connect_compiled(on_device(graph, CAPACITY), k))
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +51,13 @@ def distances(graph):
 
 
 def test_gaps__are_those_of_shapely(scene):
-    found = np.asarray(gaps(on_device(scene, CAPACITY).nodes))[:16, :16]
+    found = np.asarray(jax.jit(gaps)(on_device(scene, CAPACITY).nodes))[:16, :16]
     npt.assert_allclose(found, distances(scene), atol=1e-4)
 
 
 @pytest.mark.parametrize("k", [1, 4, 30])
 def test_contacts__are_the_nearest_by_extent_that_are_no_neighbours_yet(scene, k):
-    found = jax.jit(connect_contacts, static_argnums=1)(on_device(scene, CAPACITY), k)
+    found = connected(scene, k)
     squared, joined = distances(scene), undirected_edges(scene, PROXIMITY)
     known = {(int(a), int(b)) for pair in joined for a, b in (pair, pair[::-1])}
     expected = set()
@@ -60,10 +65,10 @@ def test_contacts__are_the_nearest_by_extent_that_are_no_neighbours_yet(scene, k
         others = [o for o in range(14) if o != node and (o, node) not in known]
         others.sort(key=lambda other: squared[other, node])
         expected |= {(other, node) for other in others[:k]}
-    new = np.asarray(found.edges.mask)[CAPACITY.edges :]
+    new = found.edges.mask[CAPACITY.edges :]
     ends = np.stack([found.senders, found.receivers], axis=-1)[CAPACITY.edges :]
     assert sorted(map(tuple, ends[new].tolist())) == sorted(expected)
-    assert (np.asarray(found.edges.relation)[CAPACITY.edges :] == PROXIMITY).all()
+    assert (found.edges.relation[CAPACITY.edges :] == PROXIMITY).all()
     assert found.n_edge[0] == found.edges.mask.sum()
     assert found.n_edge.sum() == len(found.edges.mask)
 
@@ -78,7 +83,5 @@ def test_contacts__of_planes_that_meet_far_from_their_middles_are_found():
     normal[1] = [-1.0, 0.0, 0.0]
     width = np.full(12, 0.3)
     width[:2] = 20
-    graph = on_device(make_graph([PLANE] * 12, position, normal, width), CAPACITY)
-    found = connect_contacts(graph, 1)
-    heard = np.asarray(found.senders)[np.asarray(found.edges.mask)][jnp.array([0, 1])]
-    assert heard.tolist() == [1, 0]
+    found = connected(make_graph([PLANE] * 12, position, normal, width), 1)
+    assert found.senders[found.edges.mask][:2].tolist() == [1, 0]

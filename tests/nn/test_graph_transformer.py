@@ -20,6 +20,7 @@ from sg3d_jax.nn.graph_transformer import (
 )
 from sg3d_jax.nn.kin import connect_kin
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, ROOM, WALL
+from tests.nn.gradients import with_gradient
 from tests.two_rooms import (
     CAPACITY,
     NO_GATES,
@@ -72,6 +73,21 @@ def run(params, graph, inputs):
     return *logits, apply(LENGTHS, params["distance"], conditioning, label, edges, distance, time)
 
 
+run_with_gradient = with_gradient(run)
+
+
+@jax.jit
+def encodings(params, graph):
+    """What an encoder makes of a graph: as it is, for many rows, and by edges between kin."""
+    ways = {
+        "plain": (ENCODER, graph),
+        "many rows": (OldGraphEncoder(8, 1, 3, many_rows=True), graph),
+        "kin": (OldGraphEncoder(8, 1, 3, kin=2), graph),
+        "connected": (ENCODER, connect_kin(graph, 2)),
+    }
+    return {way: apply(encoder, params, seen) for way, (encoder, seen) in ways.items()}
+
+
 @pytest.fixture(scope="module")
 def params():
     graph, inputs = on_device(SCENE), jax.tree.map(jnp.asarray, draw_inputs())
@@ -95,6 +111,12 @@ def expected(params):
     return run(params, on_device(SCENE), draw_inputs())
 
 
+def widened(inputs):
+    """The same block beside more slots for old nodes."""
+    more = ((0, 0), (0, TWICE.nodes - CAPACITY.nodes))
+    return inputs._replace(edges=np.pad(inputs.edges, more), distance=np.pad(inputs.distance, more))
+
+
 def real_part(outputs, rows=3):
     """Drops what is said of padding, and distances where there is no edge."""
     label, edges, distance = (np.asarray(output)[:rows] for output in outputs)
@@ -109,12 +131,8 @@ def assert_same(found, expected, atol=2e-5):
 
 
 def test_outputs__do_not_depend_on_the_amount_of_padding(params, expected):
-    inputs = draw_inputs()
-    more = ((0, 0), (0, TWICE.nodes - CAPACITY.nodes))
-    wider = inputs._replace(
-        edges=np.pad(inputs.edges, more), distance=np.pad(inputs.distance, more)
-    )
-    assert_same(run(params, on_device(SCENE, TWICE), wider), expected)
+    found, _ = run_with_gradient(params, on_device(SCENE, TWICE), widened(draw_inputs()))
+    assert_same(found, expected)
 
 
 def test_outputs__do_not_depend_on_what_is_in_the_padding_of_the_old_graph(params, expected):
@@ -180,30 +198,31 @@ def test_rivals__are_the_other_new_nodes_alone(params, num_new, alone):
     """What a node claims itself, and what padding claims, does not come back to it as a rival."""
     inputs, graph = draw_inputs(num_new), on_device(SCENE)
     kernel = params["topology"]["params"]["layers"]["context"]["kernel"]
-    louder = kernel.at[:, -TOPOLOGY.gates :].multiply(3)  # behind what is spread along the graph
+    louder = np.array(kernel)
+    louder[:, -TOPOLOGY.gates :] *= 3  # behind what is spread along the graph
     changed = jax.tree.map(lambda leaf: louder if leaf is kernel else leaf, params)
-    found, expected = (run(of, graph, inputs)[1][:num_new] for of in (changed, params))
+    found, expected = (np.asarray(run(of, graph, inputs)[1])[:num_new] for of in (changed, params))
     real = np.r_[:num_new, NUM_BLOCK : NUM_BLOCK + NUM_OLD]
     assert np.allclose(found[:, real], expected[:, real], atol=1e-6) == alone
 
 
 def test_gradient__is_finite_where_everything_is_padding(params):
-    graph = jax.tree.map(jnp.zeros_like, on_device(SCENE))
-    nothing = jax.tree.map(np.zeros_like, draw_inputs())
-
-    def total(params):
-        return sum(jnp.sum(output**2) for output in run(params, graph, nothing))
-
-    chex.assert_tree_all_finite(jax.jit(jax.grad(total))(params))
+    graph = jax.tree.map(np.zeros_like, on_device(SCENE, TWICE))
+    nothing = jax.tree.map(np.zeros_like, widened(draw_inputs()))
+    _, gradient = run_with_gradient(params, graph, nothing)
+    chex.assert_tree_all_finite(gradient)
 
 
 def test_linked_centre__is_the_mean_of_the_linked_or_of_all_old_nodes():
-    nodes = with_garbage(on_device(SCENE), 5).nodes
-    conditioning = Conditioning(jnp.zeros(0), NO_GATES, surface_of(nodes), nodes.mask)
+    @jax.jit
+    def centre_in(nodes, linked):
+        old = Conditioning(jnp.zeros(0), NO_GATES, surface_of(nodes), nodes.mask)
+        return linked_centre(linked, old)
+
     linked = np.zeros((3, CAPACITY.nodes), np.float32)
     linked[0, [1, 4]] = 1
     linked[1, [2, 15]] = 1  # 15 is padding
-    centre, count = linked_centre(jnp.asarray(linked), conditioning)
+    centre, count = map(np.asarray, centre_in(with_garbage(on_device(SCENE), 5).nodes, linked))
     position = SCENE.nodes.position
     expected = [position[[1, 4]].mean(axis=0), position[2], position.mean(axis=0)]
     np.testing.assert_allclose(centre, expected, rtol=1e-5, atol=1e-6)
@@ -211,10 +230,15 @@ def test_linked_centre__is_the_mean_of_the_linked_or_of_all_old_nodes():
 
 
 def test_block_symmetric__averages_pairs_inside_the_block_only():
-    pairs = jax.random.normal(jax.random.key(1), (3, 8, 2))
-    found = np.asarray(block_symmetric(pairs))
+    pairs = np.random.default_rng(1).normal(size=(3, 8, 2)).astype("f")
+    found = np.asarray(jax.jit(block_symmetric)(pairs))
     np.testing.assert_allclose(found[0, 2], (pairs[0, 2] + pairs[2, 0]) / 2)
     np.testing.assert_array_equal(found[:, 3:], pairs[:, 3:])
+
+
+@jax.jit
+def propagate_all(all_gates, rows):
+    return [propagate(gates, rows) for gates in all_gates]
 
 
 def test_rows__travel_along_the_gated_edges_alike_by_scatter_and_by_product():
@@ -228,30 +252,25 @@ def test_rows__travel_along_the_gated_edges_alike_by_scatter_and_by_product():
     for sender, receiver, value in zip(senders, receivers, values, strict=True):
         expected[:, receiver] += value * rows[:, sender]
         dense[:, receiver, sender] += value
-    for matrix in (None, jnp.asarray(dense)):
-        gates = Gates(*map(jnp.asarray, (values, senders, receivers)), matrix)
-        np.testing.assert_allclose(propagate(gates, jnp.asarray(rows)), expected, atol=1e-5)
+    gates = [Gates(values, senders, receivers, matrix) for matrix in (None, dense)]
+    for found in propagate_all(gates, rows):
+        np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_the_encoder__has_the_same_gates_for_few_rows_and_for_many():
-    graph = on_device(SCENE)
-    params = random_params(ENCODER.init, graph)
-    few, many = (
-        jax.jit(OldGraphEncoder(8, 1, 3, many_rows=many_rows).apply)(params, graph).gates
-        for many_rows in (False, True)
-    )
+def test_the_encoder__has_the_same_gates_for_few_rows_and_for_many(params):
+    made = encodings(params["encoder"], on_device(SCENE))
+    few, many = made["plain"].gates, made["many rows"].gates
     assert few.dense is None
-    rows = jax.random.normal(jax.random.key(0), (2, CAPACITY.nodes, 3))
-    np.testing.assert_allclose(propagate(few, rows), propagate(many, rows), atol=1e-5)
+    assert many.dense is not None
+    rows = np.random.default_rng(0).normal(size=(2, CAPACITY.nodes, 3)).astype("f")
+    found, expected = propagate_all([few, many], rows)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_the_encoder__sees_edges_between_kin_if_it_is_told_to():
-    graph = on_device(SCENE)
-    params = random_params(ENCODER.init, graph)
-    plain = jax.jit(ENCODER.apply)
-    linked = jax.jit(OldGraphEncoder(8, 1, 3, kin=2).apply)(params, graph)
-    expected = plain(params, connect_kin(graph, 2))
+def test_the_encoder__sees_edges_between_kin_if_it_is_told_to(params):
+    made = encodings(params["encoder"], on_device(SCENE))
+    linked, expected = made["kin"], made["connected"]
     np.testing.assert_allclose(linked.nodes, expected.nodes, atol=1e-6)
     np.testing.assert_allclose(linked.gates.values, expected.gates.values, atol=1e-6)
-    changed = np.abs(np.asarray(linked.nodes - plain(params, graph).nodes)).max(axis=-1) > 1e-6
-    assert set(np.flatnonzero(changed)) == set(np.flatnonzero(SCENE.nodes.label == ROOM))
+    moved_on = np.abs(np.asarray(linked.nodes) - np.asarray(made["plain"].nodes)).max(axis=-1)
+    assert set(np.flatnonzero(moved_on > 1e-6)) == set(np.flatnonzero(SCENE.nodes.label == ROOM))

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from sg3d_jax.nn.apply import apply
+from sg3d_jax.nn.embed import surface_of
 from sg3d_jax.nn.graph_transformer import OldGraphEncoder
-from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer, linked_mean
+from sg3d_jax.nn.relaxed_egnn import PositionUpdate, RelaxedTransformer, linked_mean
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, ROOM, WALL
+from tests.nn.gradients import with_gradient
 from tests.two_rooms import (
     CAPACITY,
     TWICE,
@@ -61,6 +63,9 @@ def run(params, graph, inputs):
     return apply(DENOISER, params["denoiser"], conditioning, centre, *noisy)
 
 
+run_with_gradient = with_gradient(run)
+
+
 def init(key):
     graph, inputs = on_device(SCENE), jax.tree.map(jnp.asarray, draw_inputs())
     keys = jax.random.split(key)
@@ -77,7 +82,13 @@ def params():
 
 @pytest.fixture(scope="module")
 def expected(params):
-    return run(params, on_device(SCENE), draw_inputs())
+    return jax.tree.map(np.asarray, run(params, on_device(SCENE), draw_inputs()))
+
+
+def widened(inputs):
+    """The same block beside more slots for old nodes."""
+    more = TWICE.nodes - CAPACITY.nodes
+    return inputs._replace(edges=np.pad(inputs.edges, ((0, 0), (0, more))))
 
 
 def real_part(outputs):
@@ -107,14 +118,13 @@ def test_positions__are_turned_shifted_and_mirrored_with_the_scene(
     inputs = draw_inputs()
     shaken = inputs._replace(centre=move(inputs.centre), position=move(inputs.position))
     found = run(params, on_device(moved(SCENE, angle, offset, flip)), shaken)
-    assert np.abs(np.asarray(expected[2] - inputs.position)[:NUM_NEW]).min() > 1e-3
+    assert np.abs(expected[2] - inputs.position)[:NUM_NEW].min() > 1e-3
     assert_same(found, (*expected[:2], move(expected[2])), atol=2e-3)
 
 
 def test_outputs__do_not_depend_on_the_amount_of_padding(params, expected):
-    inputs = draw_inputs()
-    wider = np.pad(inputs.edges, ((0, 0), (0, TWICE.nodes - CAPACITY.nodes)))
-    assert_same(run(params, on_device(SCENE, TWICE), inputs._replace(edges=wider)), expected)
+    found, _ = run_with_gradient(params, on_device(SCENE, TWICE), widened(draw_inputs()))
+    assert_same(found, expected)
 
 
 def test_outputs__do_not_depend_on_what_is_in_the_padding(params, expected):
@@ -159,29 +169,34 @@ def test_every_output__sees_every_noisy_input_and_the_frame(params, expected, fi
     }
     found = run(params, on_device(SCENE), inputs._replace(**{field: change[field]}))
     for one, other in zip(found, expected, strict=True):
-        assert np.abs(np.asarray(one - other)[:NUM_NEW]).max() > 1e-4
+        assert np.abs(np.asarray(one) - other)[:NUM_NEW].max() > 1e-4
 
 
-def test_positions__stay_where_they_are_before_any_training():
-    inputs, untrained = draw_inputs(), jax.jit(init)(jax.random.key(0))
+def test_positions__stay_where_they_are_before_any_training(params):
+    """So they do whatever the parameters are beside those that move them."""
+    inputs, tokens = draw_inputs(), NUM_BLOCK + CAPACITY.nodes
+    shapes = [(NUM_BLOCK, 3), (NUM_BLOCK, 8), (NUM_BLOCK, tokens, 8), (NUM_BLOCK, tokens)]
+    zeros = [np.zeros(shape, np.float32) for shape in shapes]
+    old, mask = surface_of(on_device(SCENE).nodes), np.ones(tokens, bool)
+    initial = jax.jit(PositionUpdate().init)(jax.random.key(0), *zeros, old, mask)["params"]
+    untrained = jax.tree.map(lambda leaf: leaf, params)
+    layers = untrained["denoiser"]["params"]["layers"]
+    layers["position"] = jax.tree.map(lambda leaf: np.stack([leaf] * 2), initial)
     _, _, position = run(untrained, on_device(SCENE), inputs)
     np.testing.assert_allclose(position, inputs.position, rtol=1e-6)
 
 
 def test_gradient__is_finite_where_everything_is_padding(params):
-    graph = jax.tree.map(jnp.zeros_like, on_device(SCENE))
-    nothing = jax.tree.map(np.zeros_like, draw_inputs())
-
-    def total(params):
-        return sum(jnp.sum(output**2) for output in run(params, graph, nothing))
-
-    chex.assert_tree_all_finite(jax.jit(jax.grad(total))(params))
+    graph = jax.tree.map(np.zeros_like, on_device(SCENE, TWICE))
+    nothing = jax.tree.map(np.zeros_like, widened(draw_inputs()))
+    _, gradient = run_with_gradient(params, graph, nothing)
+    chex.assert_tree_all_finite(gradient)
 
 
 def test_linked_mean__is_that_of_the_linked_or_the_place_itself():
-    position = jnp.asarray([[1.0, 2.0, 3.0], [7.0, 8.0, 9.0]])
-    tokens = jnp.concatenate([position, jnp.asarray([[0.0, 0.0, 0.0], [2.0, 0.0, 4.0]])])
-    linked = jnp.asarray([[0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]])
-    mean, count = linked_mean(position, linked, tokens)
+    position = np.array([[1, 2, 3], [7, 8, 9]], "f")
+    tokens = np.concatenate([position, np.array([[0, 0, 0], [2, 0, 4]], "f")])
+    linked = np.array([[0, 0, 1, 1], [0, 0, 0, 0]], "f")
+    mean, count = jax.jit(linked_mean)(position, linked, tokens)
     np.testing.assert_allclose(mean, [[1, 0, 2], [7, 8, 9]])
-    np.testing.assert_array_equal(count[:, 0], [2, 0])
+    np.testing.assert_array_equal(count, [[2], [0]])

@@ -52,14 +52,21 @@ def random_block(seed, num_new):
     inside = np.triu(rng.random((BLOCK_CAPACITY, BLOCK_CAPACITY)) < 0.5, 1)
     across = rng.random((BLOCK_CAPACITY, CAPACITY.nodes)) < 0.4
     return Block(
-        label=jnp.asarray(rng.choice([WALL, ROOM, FLOOR], BLOCK_CAPACITY), jnp.int32),
-        position=jnp.asarray(rng.normal(size=(BLOCK_CAPACITY, 3)), jnp.float32),
-        edges=jnp.asarray(np.concatenate([inside | inside.T, across], axis=1)),
-        mask=jnp.arange(BLOCK_CAPACITY) < num_new,
+        label=rng.choice([WALL, ROOM, FLOOR], BLOCK_CAPACITY).astype(np.int32),
+        position=rng.normal(size=(BLOCK_CAPACITY, 3)).astype(np.float32),
+        edges=np.concatenate([inside | inside.T, across], axis=1),
+        mask=np.arange(BLOCK_CAPACITY) < num_new,
     )
 
 
 append = jax.jit(append_block)
+mask_compiled = jax.jit(masked)
+pack_compiled = jax.jit(pack)
+drop_proximity = jax.jit(without_proximity)
+
+
+def on_host(tree):
+    return jax.tree.map(np.asarray, tree)
 
 
 def on_device(graph, capacity=CAPACITY):
@@ -167,7 +174,7 @@ def test_appending_agrees_with_a_loop_over_pairs(seed, num_old, num_new):
 def test_appending_leaves_old_nodes_bit_identical():
     before = on_device(random_graph(5))
     after, _ = append(before, random_block(6, 3))
-    for old, new in zip(before.nodes, after.nodes, strict=True):
+    for old, new in zip(on_host(before.nodes), on_host(after.nodes), strict=True):
         npt.assert_array_equal(new[:9], old[:9])
 
 
@@ -196,10 +203,11 @@ def test_appending_reports_what_does_not_fit():
 def test_appending_a_batch_agrees_with_a_loop_and_compiles_once():
     graphs = [random_graph(seed, 4 + seed) for seed in range(4)]
     blocks = [random_block(seed, seed) for seed in range(4)]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *blocks)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *blocks)
     append_all = jax.jit(jax.vmap(chex.assert_max_traces(append_block, n=1)))
     grown, fitted = append_all(stack(graphs, CAPACITY), stacked)
     assert fitted.shape == (4,)
+    grown = on_host(grown)
     for index, (graph, block) in enumerate(zip(graphs, blocks, strict=True)):
         one = jax.tree.map(lambda leaf, index=index: leaf[index], grown)
         chex.assert_trees_all_equal(one, append(on_device(graph), block)[0])
@@ -208,14 +216,14 @@ def test_appending_a_batch_agrees_with_a_loop_and_compiles_once():
 
 def test_part_of_adjacency_is_the_dense_form_of_the_edges():
     graph = random_graph(10)
-    adjacency = np.asarray(part_of_adjacency(on_device(graph)))
+    adjacency = np.asarray(jax.jit(part_of_adjacency)(on_device(graph)))
     npt.assert_array_equal(np.argwhere(np.triu(adjacency)), undirected_edges(graph, PART_OF))
     npt.assert_array_equal(adjacency, adjacency.T)
 
 
 def test_dropping_proximity_keeps_part_of_edges():
     graph = random_graph(11)
-    kept = without_proximity(on_device(graph))
+    kept = drop_proximity(on_device(graph))
     assert len(undirected_edges(graph, PROXIMITY)) > 0
     assert len(undirected_edges(kept, PROXIMITY)) == 0
     npt.assert_array_equal(undirected_edges(kept, PART_OF), undirected_edges(graph, PART_OF))
@@ -223,18 +231,18 @@ def test_dropping_proximity_keeps_part_of_edges():
 
 def with_holes(seed, num_nodes=9):
     """A padded graph that has lost some nodes, with their edges, and some of the other edges."""
-    graph, rng = on_device(random_graph(seed, num_nodes)), np.random.default_rng(seed)
-    nodes = np.asarray(graph.nodes.mask) & (rng.random(CAPACITY.nodes) < 0.6)
-    kept = nodes[np.asarray(graph.senders)] & nodes[np.asarray(graph.receivers)]
+    graph, rng = pad(random_graph(seed, num_nodes), CAPACITY), np.random.default_rng(seed)
+    nodes = graph.nodes.mask & (rng.random(CAPACITY.nodes) < 0.6)
+    kept = nodes[graph.senders] & nodes[graph.receivers]
     lost = rng.random((CAPACITY.nodes, CAPACITY.nodes)) < 0.3  # in both directions
-    lost = (lost | lost.T)[np.asarray(graph.senders), np.asarray(graph.receivers)]
-    edges = np.asarray(graph.edges.mask) & kept & ~lost
-    return masked(graph, jnp.asarray(nodes), jnp.asarray(edges))
+    lost = (lost | lost.T)[graph.senders, graph.receivers]
+    return mask_compiled(graph, nodes, graph.edges.mask & kept & ~lost)
 
 
 def packed_by_loop(graph):
     """What pack should do, one slot after the other."""
-    packed = jax.tree.map(lambda leaf: np.zeros_like(np.asarray(leaf)), graph)
+    graph = on_host(graph)
+    packed = jax.tree.map(np.zeros_like, graph)
     place = {}
     for slot in np.flatnonzero(graph.nodes.mask).tolist():
         for new, old in zip(packed.nodes, graph.nodes, strict=True):
@@ -249,9 +257,6 @@ def packed_by_loop(graph):
     num_edges = int(graph.edges.mask.sum())
     packed.n_edge[:] = num_edges, CAPACITY.edges - num_edges
     return packed
-
-
-pack_compiled = jax.jit(pack)
 
 
 @given(seed=st.integers(0, 2**32 - 1), num_nodes=st.integers(1, 16))
@@ -269,10 +274,11 @@ def test_packing_agrees_with_a_loop_over_slots(seed, num_nodes):
 
 def test_packing_a_batch_agrees_with_a_loop_and_compiles_once():
     graphs = [with_holes(seed, 4 + seed) for seed in range(4)]
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *graphs)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *graphs)
     pack_all = jax.jit(jax.vmap(chex.assert_max_traces(pack, n=1)))
     packed = pack_all(stacked)
     assert type(packed) is PackedGraph
+    packed = on_host(packed)
     for index, graph in enumerate(graphs):
         one = jax.tree.map(lambda leaf, index=index: leaf[index], packed)
         chex.assert_trees_all_equal(one, pack_compiled(graph))
@@ -299,7 +305,7 @@ def test_appending_after_packing_keeps_every_node(seed, num_new):
     "holey",
     [
         lambda: with_holes(5),
-        lambda: without_proximity(on_device(random_graph(5))),
+        lambda: drop_proximity(on_device(random_graph(5))),
         lambda: random_graph(5),
         lambda: jax.tree.map(lambda leaf: leaf, SceneGraph(*on_device(random_graph(5)))),
     ],
@@ -318,18 +324,18 @@ def test_what_pads_is_packed_and_what_masks_is_not():
     assert type(pad(graph, CAPACITY)) is type(stack([graph] * 2, CAPACITY)) is PackedGraph
     assert type(append(device, random_block(3, 2))[0]) is PackedGraph
     assert type(jax.jit(lambda graph: graph)(device)) is PackedGraph
-    assert type(masked(device, device.nodes.mask, device.edges.mask)) is SceneGraph
-    assert type(without_proximity(device)) is SceneGraph
+    assert type(mask_compiled(device, device.nodes.mask, device.edges.mask)) is SceneGraph
+    assert type(drop_proximity(device)) is SceneGraph
     assert type(unpad(device)) is type(graph) is SceneGraph
 
 
 def test_masked_nodes_are_not_observed_and_counts_follow_the_masks():
-    graph = on_device(random_graph(12))
-    keep = graph.nodes.mask & (jnp.arange(CAPACITY.nodes) % 3 != 1)
-    edges = graph.edges.mask & (jnp.arange(CAPACITY.edges) % 2 == 0)
-    found = masked(graph, keep, edges)
-    is_plane = np.asarray(graph.nodes.label) == PLANE
-    npt.assert_array_equal(found.nodes.observed, np.asarray(keep) & is_plane)
+    graph = pad(random_graph(12), CAPACITY)
+    keep = graph.nodes.mask & (np.arange(CAPACITY.nodes) % 3 != 1)
+    edges = graph.edges.mask & (np.arange(CAPACITY.edges) % 2 == 0)
+    found = on_host(mask_compiled(graph, keep, edges))
+    is_plane = graph.nodes.label == PLANE
+    npt.assert_array_equal(found.nodes.observed, keep & is_plane)
     assert 0 < found.nodes.observed.sum() < graph.nodes.observed.sum()
     npt.assert_array_equal(found.nodes.mask, keep)
     npt.assert_array_equal(found.n_node, [keep.sum(), (~keep).sum()])
@@ -345,7 +351,11 @@ def test_padding_and_what_is_appended_are_not_observed():
 def test_the_ontology_goes_along():
     world = own_world()
     capacity = Capacity(32, 256)
-    for graph in (pad(world, capacity), stack([world], capacity), pack(pad(world, capacity))):
+    for graph in (
+        pad(world, capacity),
+        stack([world], capacity),
+        pack_compiled(pad(world, capacity)),
+    ):
         assert graph.globals is ONTOLOGY
     assert_same_graph(unpad(pad(world, capacity)), world)
 

@@ -27,13 +27,17 @@ def floors():
 
 @pytest.fixture(scope="module")
 def stacks(floors):
-    return stack_by_size(floors, CAPACITIES)
+    return on_host(stack_by_size(floors, CAPACITIES))
+
+
+def on_host(stacks):
+    return jax.tree.map(np.asarray, stacks)
 
 
 def members(stacks):
     """Returns the padded graphs of every stack."""
     return [
-        [jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), stack) for i in range(len(stack[5]))]
+        [jax.tree.map(lambda leaf, i=i: leaf[i], stack) for i in range(len(stack[5]))]
         for stack in stacks
     ]
 
@@ -55,10 +59,10 @@ def test_every_graph_is_in_the_smallest_bucket_that_holds_it_once(floors, stacks
 
 
 def test_proximity_edges_are_those_of_the_graph_alone(floors, stacks):
+    connect = jax.jit(connect_observed)
     alone = {
         graph.nodes.position.astype(np.float32).tobytes(): undirected_edges(
-            connect_observed(jax.tree.map(jax.numpy.asarray, pad(graph, Capacity(64, 768)))),
-            PROXIMITY,
+            connect(jax.tree.map(jax.numpy.asarray, pad(graph, Capacity(64, 768)))), PROXIMITY
         )
         for graph in floors[:3]
     }
@@ -79,14 +83,14 @@ def test_edge_slots_hold_every_edge_and_few_more(stacks):
 
 
 def test_larger_graphs_get_further_buckets_each_twice_as_large(floors):
-    large = [graph for graph in floors if len(graph.nodes.label) > 16]
+    large = [graph for graph in floors if len(graph.nodes.label) > CAPACITIES[0]]
     (stack,) = stack_by_size(large, (4, 8))
     assert stack.nodes.label.shape == (len(large), 32)
 
 
 def test_other_graphs_are_stacked_in_the_same_shapes(floors, stacks):
     """Of too many some are left out, of too few some come twice, those too large are counted."""
-    spare = stack_by_size(floors, CAPACITIES, spare=0.5)
+    spare = on_host(stack_by_size(floors, CAPACITIES, spare=0.5))
     for one, wide in zip(stacks, spare, strict=True):
         assert wide.senders.shape[1] > 1.3 * one.senders.shape[1]
         npt.assert_array_equal(wide.n_edge.sum(axis=1), wide.senders.shape[1])
@@ -119,6 +123,7 @@ def test_graphs_without_room_for_their_edges_are_counted(floors, stacks):
         for stack in stacks
     ]
     made, too_large = stacks_like(floors, narrow)
+    made = on_host(made)
     slots = [stack.senders.shape[1] for stack in narrow]
     fit = [(stack.n_edge[:, 0] <= most).sum() for stack, most in zip(stacks, slots, strict=True)]
     assert too_large == len(floors) - sum(fit) > 0

@@ -1,6 +1,8 @@
 import dataclasses
 import json
+import re
 import shutil
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,12 @@ import pytest
 
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.infer.lanes import root_key
+from sg3d_jax.io.formats import read_graphs, write_graphs
 from sg3d_jax.metrics.fgw import FGW
+from sg3d_jax.metrics.oddities import check
+from sg3d_jax.scene.graph import observed_of, ontology_of
+from sg3d_jax.scene.ontology import PAPER_ONTOLOGY
+from sg3d_jax.scene.validate import validate_graph
 from sg3d_jax.train import checkpoint, loop
 from sg3d_jax.train.config import to_json
 from sg3d_jax.train.loop import (
@@ -23,9 +30,13 @@ from sg3d_jax.train.loop import (
     validate,
 )
 from sg3d_jax.train.statistics import shares_of
-from sg3d_jax.train.step import init_state
+from sg3d_jax.train.step import init_state, make_train_call
 from sg3d_jax.train.weights import load_weights
+from tests import command_line
+from tests.own_world import FLAT, NUM_OBSERVED, ONTOLOGY, PILLAR, own_world
 from tests.tiny_run import read_config, untrained_weights
+from tests.train import wide_run
+from tests.two_rooms import CAPACITY, TWICE, on_device, two_rooms
 
 
 def arrays(path):
@@ -105,12 +116,12 @@ def test_a_run_leaves_its_configuration_its_log_and_its_weights(trained):
 def test_a_run_that_was_interrupted_goes_on_bit_for_bit(programs, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         stop_at(20, patch, KeyboardInterrupt)
-        with pytest.raises(KeyboardInterrupt):
-            train(programs.run.config, tmp_path)
+        with pytest.raises(SystemExit):
+            command_line.run("train", programs.file, "-o", tmp_path)
     assert [step for step, _ in kept_in(tmp_path)] == [12]
     assert not (tmp_path / "weights.npz").exists()
-    weights = train(programs.run.config, tmp_path).weights
-    assert_same_weights(weights, programs.directory / "weights.npz")
+    command_line.run("train", programs.file, "-o", tmp_path)
+    assert_same_weights(tmp_path / "weights.npz", programs.directory / "weights.npz")
     assert without_times(log_of(tmp_path)) == without_times(log_of(programs.directory))
 
 
@@ -227,13 +238,18 @@ def test_a_run_is_a_function_of_its_configuration(programs, tmp_path):
         npt.assert_array_equal(one, other)
 
 
-def test_calls_that_were_compiled_side_by_side_do_what_the_jitted_one_does(trained):
-    key = root_key(trained.run.config.seed + 1)
-    calls = compile_calls(trained.train_call, trained.initial, key, trained.run.stacks)
-    for call, graphs in zip(calls, trained.run.stacks, strict=True):
+def test_calls_that_were_compiled_side_by_side_do_what_the_jitted_one_does():
+    config, model = wide_run.CONFIG, wide_run.Wide()
+    stacks = [
+        jax.tree.map(lambda leaf: np.stack([leaf] * 4), on_device(two_rooms(), capacity))
+        for capacity in (CAPACITY, TWICE)
+    ]
+    initial, key = init_state(config, model, stacks[0]), root_key(1)
+    jitted = make_train_call(config, model)
+    calls = compile_calls(jitted, initial, key, stacks)
+    for call, graphs in zip(calls, stacks, strict=True):
         made = [
-            function(jax.tree.map(jnp.copy, trained.initial), key, graphs)
-            for function in (call, trained.train_call)
+            function(jax.tree.map(jnp.copy, initial), key, graphs) for function in (call, jitted)
         ]
         for one, other in zip(*map(jax.tree.leaves, made), strict=True):
             npt.assert_array_equal(one, other)
@@ -273,8 +289,10 @@ def test_loaded_weights_grow_what_the_run_grew(trained):
     loaded = load_weights(trained.directory / "weights.npz")
     scenes = trained.run.validation
     params = restored(trained, trained.directory, best).average
-    expected = complete(trained.run.model, params, scenes, seed=3, outgrow=False)
-    grown = complete(loaded.model, loaded.params, scenes, seed=3, outgrow=False)
+    expected, grown = (
+        complete(model, of_model, scenes, seed=3, candidates=1, outgrow=False)
+        for model, of_model in ((trained.run.model, params), (loaded.model, loaded.params))
+    )
     for one, other in zip(*map(jax.tree.leaves, (grown, expected)), strict=True):
         npt.assert_array_equal(one, other)
     scores = validate(trained.run, loaded.params)
@@ -321,7 +339,7 @@ def test_a_score_that_is_not_finite_is_the_worst(trained, monkeypatch):
 def test_a_directory_of_another_run_is_refused_by_the_fields_that_differ(trained):
     config = trained.run.config
     other = dataclasses.replace(
-        config, batch=9, model=dataclasses.replace(config.model, layers=3), capacities=(24, 48)
+        config, batch=9, model=dataclasses.replace(config.model, layers=3), capacities=(32, 64)
     )
     there = [path for path in trained.directory.iterdir() if path.name != "lock"]
     before = {path: path.stat().st_mtime_ns for path in there}
@@ -330,7 +348,7 @@ def test_a_directory_of_another_run_is_refused_by_the_fields_that_differ(trained
     for change in (
         "batch 2 there, 9 here",
         "model.layers 1 there, 3 here",
-        "capacities [24] there",
+        "capacities [32] there",
     ):
         assert change in str(caught.value)
     assert "steps" not in str(caught.value).replace("model.topology_steps", "")
@@ -354,7 +372,8 @@ def test_a_run_that_cannot_begin_leaves_no_directory(tmp_path):
 
 def test_buckets_are_drawn_in_proportion_to_their_nodes_from_seed_and_call(trained):
     config = trained.run.config
-    stacks = [trained.run.stacks[0], jax.tree.map(lambda leaf: leaf[:2], trained.run.stacks[0])]
+    all_graphs = jax.tree.map(np.asarray, trained.run.stacks[0])
+    stacks = [all_graphs, jax.tree.map(lambda leaf: leaf[:2], all_graphs)]
     shares = shares_of(stacks)
     drawn = [bucket_of_call(config, shares, call) for call in range(400)]
     assert drawn == [bucket_of_call(config, shares, call) for call in range(400)]
@@ -379,15 +398,16 @@ def test_the_loss_of_the_model_falls_within_few_steps(trained):
 
 def test_every_parameter_of_the_model_receives_a_finite_gradient(trained):
     last = restored(trained, trained.directory, trained.run.config.steps)
-    _, by_path = jax.flatten_util.ravel_pytree(last.params)  # the optimiser holds one vector
-    squares = by_path(optax.tree.get(last.optimiser, "nu"))
-    for path, square in jax.tree.leaves_with_path(squares):
+    paths, leaves = zip(*jax.tree.leaves_with_path(last.params), strict=True)
+    ends = np.cumsum([leaf.size for leaf in leaves])  # the optimiser holds one vector
+    squares = np.split(np.asarray(optax.tree.get(last.optimiser, "nu")), ends[:-1])
+    for path, square in zip(paths, squares, strict=True):
         assert np.isfinite(square).all(), path
         assert np.any(square > 0), path
 
 
 def test_initial_parameters_follow_from_the_seed(trained):
-    graph = jax.tree.map(lambda leaf: leaf[0], trained.run.stacks[0])
+    graph = jax.tree.map(lambda leaf: np.asarray(leaf)[0], trained.run.stacks[0])
     config = dataclasses.replace(trained.run.config, seed=1)
     states = (
         trained.initial,
@@ -412,10 +432,59 @@ def test_a_run_starts_from_weights_with_a_fresh_optimiser(programs):
     assert start_from_weights(programs.run.config, programs.initial) is programs.initial
 
 
-@pytest.mark.parametrize("other", ["midi", "fd4-s-f"])
+@pytest.mark.parametrize("other", ["ec-square", "fd4-s-f"])
 def test_weights_of_another_method_or_of_other_sizes_are_no_start(other, programs, tmp_path):
-    name = str(untrained_weights(tmp_path, other)) if other == "midi" else other
-    config = dataclasses.replace(programs.run.config, initial=name)
+    name = other if other == "fd4-s-f" else str(untrained_weights(tmp_path, other))
+    config = dataclasses.replace(programs.run.config, initial=name, ontology=PAPER_ONTOLOGY)
     with pytest.raises(ValueError, match=rf"initial: {name} are weights of .* with other layers"):
         train(config, tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_world_of_ones_own_needs_a_configuration_alone(trained, tmp_path, monkeypatch, capsys):
+    """Concepts are data, from training to every format."""
+    monkeypatch.chdir(tmp_path)
+    weights = trained.directory / "weights.npz"
+    loaded = load_weights(weights)
+    assert loaded.config.ontology == loaded.model.ontology == ONTOLOGY
+    assert len(loaded.statistics.label) == ONTOLOGY.num_concepts
+    assert loaded.statistics.label[FLAT] > 0 == loaded.statistics.label[PILLAR]
+    config = json.loads((trained.directory / "config.json").read_text())
+    assert [concept["name"] for concept in config["ontology"]["concepts"]] == [*ONTOLOGY.names]
+
+    # Scored.
+    command_line.run("evaluate", weights, "--num-graphs", 2, "-o", "scores.json")
+    scores = json.loads(Path("scores.json").read_text())["scores"]
+    assert np.isfinite(scores["fgw"]["mean"])
+    assert "recall, flat" in scores
+
+    # Grown, from pillars and planes as a document holds them.
+    write_graphs("observed.json", [observed_of(own_world())])
+    command_line.run("complete", "observed.json", "-o", "grown.json", "--weights", weights)
+    (grown,) = read_graphs("grown.json")
+    assert ontology_of(grown) == ONTOLOGY
+    assert grown.nodes.observed.sum() == NUM_OBSERVED
+    assert not ONTOLOGY.is_observed[grown.nodes.label[NUM_OBSERVED:]].any()
+    validate_graph(grown, "grown.json", rules=False)
+    validate_graph(own_world(), "own world")
+    assert check([own_world()]) == []
+    said = capsys.readouterr().out
+    assert re.search(r"grown\.json: scene 0 sample 0: 12 planes, 2 pillars", said)
+
+    # Drawn, and written in every format and read back.
+    command_line.run("view", "grown.json", "-o", "grown.png")
+    command_line.run("view", "grown.json", "-o", "grown.html")
+    assert "flat" in Path("grown.html").read_text()
+    for to, suffix in (
+        ("json", "json"),
+        ("networkx", "json"),
+        ("spark-dsg", "json"),
+        ("graphml", "graphml"),
+        ("npz", "npz"),
+    ):
+        command_line.run("export", "grown.json", "-o", f"{to}.{suffix}", "--to", to)
+        (back,) = read_graphs(f"{to}.{suffix}")
+        assert ontology_of(back) == ONTOLOGY
+        npt.assert_array_equal(back.nodes.label, grown.nodes.label)
+        npt.assert_array_equal(back.nodes.position, grown.nodes.position)

@@ -3,6 +3,7 @@
 import dataclasses
 
 import jax
+import numpy as np
 import pytest
 
 from sg3d_jax.baselines.edge_features import Scales
@@ -14,7 +15,7 @@ from sg3d_jax.train import methods
 from sg3d_jax.train.methods import METHODS
 from sg3d_jax.train.step import init_state, make_train_call
 from tests.tiny_run import MODELS, measured, shortest_run, untrained_model
-from tests.two_rooms import CAPACITY, on_device, two_rooms
+from tests.two_rooms import on_device, two_rooms
 
 GROWN = [name for name, spec in METHODS.items() if spec.grows]
 CLASSIFIERS = [name for name, spec in METHODS.items() if spec.statistics is Scales]
@@ -36,8 +37,8 @@ def test_a_configuration_knows_its_method(method):
 @pytest.mark.parametrize("method", ["ec-l", "midi-or", "midi"])  # the others train in other tests
 def test_every_method_has_a_training_step(method, tmp_path):
     config, model = shortest_run(tmp_path, method), untrained_model(method)
-    graph = on_device(two_rooms(), CAPACITY)
-    stack = jax.tree.map(lambda leaf: leaf[None], graph)
+    graph = on_device(two_rooms())
+    stack = jax.tree.map(lambda leaf: np.asarray(leaf)[None], graph)
 
     def two_steps(stack):
         state = init_state(config, model, graph)
@@ -53,7 +54,7 @@ def test_every_method_has_a_training_step(method, tmp_path):
 
 @pytest.mark.parametrize("method", ["ec-l", "midi-or"])  # the others train in other tests
 def test_what_is_counted_is_what_the_model_is_built_with(method):
-    stack = jax.tree.map(lambda leaf: leaf[None], on_device(two_rooms(), CAPACITY))
+    stack = jax.tree.map(lambda leaf: np.asarray(leaf)[None], on_device(two_rooms()))
     counted = methods.measure(MODELS[method], None, [stack])
     assert type(counted) is METHODS[method].statistics
     assert type(counted) is (Scales if method in CLASSIFIERS else Statistics)

@@ -1,7 +1,8 @@
 """What is summed up of a cut, against a loop over its nodes and pairs."""
 
+import functools
+
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -14,22 +15,28 @@ from tests.two_rooms import on_device, two_rooms
 NUM_BLOCK, NUM_CUTS = 4, 40
 
 
-def statistics_and_cuts(coins: tuple[int, ...]) -> tuple[Statistics, Cut]:
-    """Counts the statistics of one graph, and draws the cuts on which they were counted."""
-    graphs = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], on_device(two_rooms()))
+def statistics(coins: tuple[int, ...]) -> Statistics:
+    """Counts the statistics of one graph."""
+    graphs = jax.tree.map(lambda leaf: np.asarray(leaf)[None], on_device(two_rooms()))
+    return statistics_of(functools.partial(cut_graph, coins), [graphs], NUM_CUTS)
 
-    def cut_graph(key, graph):
-        return draw_cut(graph, key, coins)
 
+def cut_graph(coins, key, graph):
+    return draw_cut(graph, key, coins)
+
+
+@jax.jit
+def cuts_of(graph) -> Cut:
+    """Draws the cuts on which the statistics are counted, with blocks of one node or four."""
     [key] = jax.random.split(jax.random.split(jax.random.key(0), 1)[0], 1)
-    draw = jax.jit(jax.vmap(cut_graph, (0, None)))
-    cuts = draw(jax.random.split(key, NUM_CUTS), on_device(two_rooms()))
-    return statistics_of(cut_graph, [graphs], NUM_CUTS), cuts
+    draw = jax.vmap(functools.partial(cut_graph, (1, NUM_BLOCK)), (0, None))
+    return draw(jax.random.split(key, NUM_CUTS), graph)
 
 
 @pytest.fixture(scope="module")
 def counted() -> tuple[Statistics, Cut]:
-    return statistics_and_cuts((1, 4))
+    cuts = jax.tree.map(np.asarray, cuts_of(on_device(two_rooms())))
+    return statistics((1, NUM_BLOCK)), cuts
 
 
 def count_by_loops(cuts: Cut) -> tuple[list, list, list, list]:
@@ -37,7 +44,7 @@ def count_by_loops(cuts: Cut) -> tuple[list, list, list, list]:
     inside, across, length, offset = [], [], [], []
     for index in range(len(cuts.complete)):
         block, graph = jax.tree.map(lambda leaf, i=index: leaf[i], (cuts.block, cuts.survivors))
-        block, old = jax.tree.map(np.asarray, (block, graph.nodes))
+        old = graph.nodes
         for new in np.flatnonzero(block.mask):
             offset.append(block.position[new] - old.position[old.mask].mean(axis=0))
             pairs = [(inside, new, other, block.position[other]) for other in range(new)]
@@ -72,6 +79,6 @@ def test_labels__are_those_of_the_graph_whatever_the_cuts_hold(counted):
 
 
 def test_statistics__without_any_pair_inside_a_block_are_finite():
-    found, _ = statistics_and_cuts((1,))
+    found = statistics((1,))
     np.testing.assert_array_equal(found.block_edge, [1, 0])
     assert all(np.isfinite(field).all() for field in found)

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import numpy.testing as npt
 import pytest
@@ -25,6 +24,8 @@ PLACES = np.array([FURNISHED_ONTOLOGY.label_of(name) for name in PAPER_ONTOLOGY.
 LABEL = np.array([2, 1])  # of a block
 EDGES = np.zeros((2, 2 + 16), np.int32)
 EDGES[[0, 1], [4, 6]] = 1
+said = jax.jit(apply, static_argnums=0)
+carry = jax.jit(transferred, static_argnums=(1, 3))
 
 
 def relabelled(graph):
@@ -39,20 +40,24 @@ def relabelled(graph):
     )
 
 
-@functools.partial(jax.jit, static_argnames="model")
 def told(model, params, graph, label):
     """Returns all that a model says of a graph and of a block of two nodes, labels first."""
-    fill, block, edges, time = params.fill, jnp.ones(2, bool), jnp.asarray(EDGES), jnp.float32(9)
-    known = apply(model.fill.encoder, fill["encoder"], graph)
+    fill, block, time = params.fill, np.ones(2, bool), np.float32(9)
+    known = said(model.fill.encoder, fill["encoder"], graph)
     if "denoiser" in fill:
-        inputs = known, jnp.zeros(3), block, label, edges, jnp.ones((2, 3)), time
-        others = apply(model.fill.network, fill["denoiser"], *inputs)
+        inputs = known, np.zeros(3, "f"), block, label, EDGES, np.ones((2, 3), "f"), time
+        others = said(model.fill.network, fill["denoiser"], *inputs)
     else:
-        drawn = apply(model.fill.topology, fill["topology"], known, block, label, edges, time)
-        inputs = known, label, edges == 1, edges.astype(jnp.float32), time
-        others = *drawn, apply(model.fill.lengths, fill["distance"], *inputs)
-    insert = model.insert.logits(params.insert, graph)
-    return *others, known.nodes, insert, model.halt.logit(params.halt, graph)
+        drawn = said(model.fill.topology, fill["topology"], known, block, label, EDGES, time)
+        inputs = known, label, EDGES == 1, EDGES.astype("f"), time
+        others = *drawn, said(model.fill.lengths, fill["distance"], *inputs)
+    judged = judgements(model.insert, model.halt, params.insert, params.halt, graph)
+    return *others, known.nodes, *judged
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def judgements(insert, halt, params_of_insert, params_of_halt, graph):
+    return insert.logits(params_of_insert, graph), halt.logit(params_of_halt, graph)
 
 
 @pytest.mark.parametrize("method", ["midi", "fd4"])
@@ -63,10 +68,10 @@ def test_a_model_says_the_same_of_concepts_that_it_knew(method):
     graph, again = on_device(two_rooms()), on_device(relabelled(two_rooms()))
     params = random_params(model.init, graph)
     fresh = random_params(other.init, again, seed=1)
-    carried = transferred(params, PAPER_ONTOLOGY, fresh, FURNISHED_ONTOLOGY)
-    label, *expected = told(model, params, graph, jnp.asarray(LABEL))
-    found, *others = told(other, carried, again, jnp.asarray(PLACES[LABEL]))
-    npt.assert_allclose(found[:, PLACES], label, atol=1e-5)
+    carried = carry(params, PAPER_ONTOLOGY, fresh, FURNISHED_ONTOLOGY)
+    label, *expected = told(model, params, graph, LABEL)
+    found, *others = told(other, carried, again, PLACES[LABEL])
+    npt.assert_allclose(np.asarray(found)[:, PLACES], label, atol=1e-5)
     for one, same in zip(others, expected, strict=True):
         npt.assert_allclose(one, same, atol=1e-5)
     assert found.shape[1] == FURNISHED_ONTOLOGY.num_concepts
@@ -88,8 +93,10 @@ def test_kinds_of_what_is_observed_go_by_their_names():
     known, ontology = with_kinds("bed", "desk"), with_kinds("bed", "lamp", "desk")
     params = random_params(Halt(4, 1).init, graph_of(known))
     fresh = random_params(Halt(4, 1).init, graph_of(ontology), seed=1)
-    carried = transferred(params, known, fresh, ontology)
-    before, after = (of["params"]["gine"]["nodes"]["kernel"] for of in (params, carried))
+    carried = carry(params, known, fresh, ontology)
+    before, after = (
+        np.asarray(of["params"]["gine"]["nodes"]["kernel"]) for of in (params, carried)
+    )
     npt.assert_array_equal(after[-3], before[-2])
     npt.assert_array_equal(after[-2], np.zeros(4))  # nothing is known of lamps
     npt.assert_array_equal(after[-1], before[-1])
@@ -105,11 +112,13 @@ def test_kinds_of_what_is_grown_go_by_their_places():
         {"kinds": random_params(Kinds(4, 1, of).init, graph_of(of), seed=seed)}
         for seed, of in enumerate((known, ontology))
     )
-    carried = transferred(params, known, fresh, ontology)["kinds"]["params"]["logits"]
-    kernel, bias = (params["kinds"]["params"]["logits"][name] for name in ("kernel", "bias"))
-    npt.assert_array_equal(carried["kernel"][:, :12], kernel)
-    npt.assert_array_equal(carried["bias"][:12], bias)
-    npt.assert_array_equal(carried["bias"][12], fresh["kinds"]["params"]["logits"]["bias"][12])
+    (kernel, bias), (new_kernel, new_bias), (_, fresh_bias) = (
+        [np.asarray(of["kinds"]["params"]["logits"][name]) for name in ("kernel", "bias")]
+        for of in (params, carry(params, known, fresh, ontology), fresh)
+    )
+    npt.assert_array_equal(new_kernel[:, :12], kernel)
+    npt.assert_array_equal(new_bias[:12], bias)
+    npt.assert_array_equal(new_bias[12], fresh_bias[12])
 
 
 def test_a_layer_of_another_width_is_refused():
