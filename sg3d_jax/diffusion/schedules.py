@@ -18,7 +18,7 @@ def cosine(num_steps: int, exponent: float = 1.0) -> Float[Array, " {num_steps}+
     """
     time = (np.arange(num_steps + 1) / num_steps) ** exponent
     signal = np.cos(0.5 * np.pi * (time + 0.008) / 1.008) ** 2
-    return jnp.asarray(signal / signal[0], jnp.float32)
+    return jnp.asarray((signal / signal[0]).astype(np.float32))
 
 
 def strided_times(num_steps: int, num_samples: int) -> Int[Array, " {num_samples}+1"]:
@@ -33,4 +33,5 @@ def strided_times(num_steps: int, num_samples: int) -> Int[Array, " {num_samples
     """
     if not 1 <= num_samples <= num_steps:
         raise ValueError(f"sampling steps must be in 1..{num_steps}, got {num_samples}")
-    return jnp.asarray(np.round(np.linspace(num_steps, 0, num_samples + 1)), jnp.int32)
+    times = np.round(np.linspace(num_steps, 0, num_samples + 1))
+    return jnp.asarray(times.astype(np.int32))
