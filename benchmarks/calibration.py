@@ -26,6 +26,7 @@ from sg3d_jax.cli.provenance import provenance
 from sg3d_jax.infer import confidence
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.infer.consensus import consensus
+from sg3d_jax.infer.division import divided_alike
 from sg3d_jax.metrics.calibration import (
     Reliability,
     calibration,
@@ -118,6 +119,7 @@ def votes(graphs: Sequence[SceneGraph], truth: SceneGraph, num_given: int) -> np
     Returns:
       int[k, 3]: draws that have it, draws, and 1 if it is right; of the consensus and of the first.
     """
+    graphs = divided_alike(graphs, num_given)
     nodes, edges = [identities(one) for one in graphs], [edge_identities(one) for one in graphs]
     rows = []
     for graph in (consensus(graphs, num_given)[0], graphs[0]):

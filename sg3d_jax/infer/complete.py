@@ -11,6 +11,7 @@ from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.candidates import are_settled
 from sg3d_jax.infer.confidence import Confidence, judged, sure_of
 from sg3d_jax.infer.consensus import consensus
+from sg3d_jax.infer.division import divided_alike
 from sg3d_jax.infer.kinds import chances_of_kinds, with_kinds
 from sg3d_jax.infer.lanes import Course, Model, complete_lanes
 from sg3d_jax.infer.prepare import Scene, in_place, prepare, whole_again
@@ -240,16 +241,20 @@ def _completions(
 ) -> list[Completion]:
     """Returns what is kept of all that was drawn of one scene, and how sure it is."""
     kept: list[_Drawn] = []
+    drawn: list[SceneGraph] = []
     chances: list[np.ndarray | None] = []
     for candidates in samples:
-        voters = [one for one in candidates if _has_ended(one)] or candidates
+        ended = [one for one in candidates if _has_ended(one)]
+        voters = ended or candidates
         # Pieces of one observed node may belong to several wholes, so they vote apart.
-        graph, index = consensus(_graphs(voters), scene.num_in_pieces)
+        alike = divided_alike(_graphs(voters), scene.num_in_pieces)
+        graph, index = consensus(alike, scene.num_in_pieces)
+        others = [one.graph for one in candidates if ended and not _has_ended(one)]
+        drawn += [whole_again(scene, one) for one in (*alike, *others)]
         chances.append(kinds(scene, graph))
         graph = whole_again(scene, graph)
         graph = graph if chances[-1] is None else with_kinds(graph, chances[-1])
         kept.append(voters[index]._replace(graph=graph))
-    drawn = [whole_again(scene, one.graph) for candidates in samples for one in candidates]
     graphs = [one.graph for one in kept]
     judgements = judged(graphs, drawn, scene.num_given)
     # One draw alone tells nothing of its nodes and edges.

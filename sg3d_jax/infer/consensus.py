@@ -7,10 +7,6 @@ observed below that is below the whole: a candidate that has another room there 
 floor it is on. Where two candidates differ, wholes that overlap are taken or left together, or a
 part would have two wholes, or none.
 
-What a whole is may be a matter of style: between one room and three others floor plans have one
-wall, the paper's synthetic sets have three. Candidates waver from place to place, but all of them
-over all of a scene tell which it is, so it is put to the vote once (`divided_alike`).
-
 Of wholes with parts of several concepts, those of the lowest say which whole it is, as planes do of
 a room. The others are put to the vote one by one, once wholes are elected: a chair that stands next
 door in some candidates does not cost the room its votes.
@@ -25,7 +21,7 @@ parts chosen below, so that one room does not cost the votes for its floor.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from typing import Any, NamedTuple
 
@@ -34,7 +30,6 @@ import numpy as np
 from sg3d_jax.infer.candidates import most_agreeing, num_flaws
 from sg3d_jax.metrics.calibration import observed_below
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first, subgraph
-from sg3d_jax.scene.ontology import Ontology
 
 
 class Version(NamedTuple):
@@ -104,14 +99,11 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
         if not len(parts):
             continue
         ballots = [_ballot(one, draft, parts, concept) for one in candidates]
-        wholes: Sequence[AbstractSet[Version]] = [{*ballot} for ballot in ballots]
+        wholes = [{*ballot} for ballot in ballots]
+        chosen = elected(wholes, start)
         single = {
             one for one in parts.tolist() if ontology.has_one_whole[draft.label[one], concept]
         }
-        if not single:
-            sides = [_sides(one, ontology) for one in candidates]
-            wholes = divided_alike(wholes, sides, ontology.concepts[concept].least_parts)
-        chosen = elected(wholes, start)
         joined = adopted(chosen, wholes, single)
         settled = {one for version in chosen for one in version.parts | joined[version]} & single
         beside = _beside(chosen, ballots, settled)
@@ -160,91 +152,6 @@ def _ballot(
         elif of_whole:
             before[of_whole] += 1
             ballot[Version(-before[of_whole], of_whole)] = _Held(whole, others)
-    return ballot
-
-
-def _sides(candidate: _Candidate, ontology: Ontology) -> Sequence[int]:
-    """Returns on which side of a whole each given node is: of what else it is part alone.
-
-    One that is part of nothing alone has a side of its own, below zero.
-    """
-    num_given = len(candidate.edge)
-    label = candidate.label
-    alone = candidate.edge & ontology.has_one_whole[label[:num_given]][:, label]
-    return np.where(alone.any(axis=1), alone.argmax(axis=1), ~np.arange(num_given)).tolist()
-
-
-def divided_alike(
-    ballots: Sequence[AbstractSet[Version]], sides: Sequence[Sequence[int]], least: int
-) -> Sequence[AbstractSet[Version]]:
-    """Divides the wholes of a scene as most of it does, where parts may have several of them.
-
-    A part of several wholes says that they are divided finely, a whole with more sides than it
-    needs that they are not. What a candidate has otherwise than most say, all candidates and all
-    places together, is exchanged for what others have there.
-
-    Args:
-      ballots: the wholes of each candidate, whose parts may have others of the concept.
-      sides: in each candidate the side of each given node: parts of one side are one to a whole.
-      least: sides that a whole needs.
-    """
-
-    def spare(version: Version, sides: Sequence[int]) -> int:
-        of_parts = {sides[part] if part < len(sides) else ~part for part in version.parts}
-        return max(0, len(of_parts) - least)
-
-    pairs = [*zip(ballots, sides, strict=True)]
-    coarse = sum(spare(version, of) for ballot, of in pairs for version in ballot)
-    fine = sum(len(one.parts) for ballot in ballots for one in ballot)
-    fine -= sum(len({part for one in ballot for part in one.parts}) for ballot in ballots)
-    if fine > coarse:
-        return [
-            _finely(ballot, lambda one, of=of: spare(one, of) > 0, ballots) for ballot, of in pairs
-        ]
-    return [_coarsely(ballot, ballots) for ballot in ballots] if coarse > fine else ballots
-
-
-def _finely(
-    ballot: AbstractSet[Version],
-    is_coarse: Callable[[Version], bool],
-    ballots: Sequence[AbstractSet[Version]],
-) -> AbstractSet[Version]:
-    """Exchanges coarse wholes for what others divide them into, and that again if it is coarse."""
-    waiting = sorted(filter(is_coarse, ballot), key=lambda one: sorted(one.parts))
-    for version in waiting:  # which grows, by smaller ones
-        division = _division(version, ballots)
-        if version.row < 0 and len(division) > 1:
-            ballot = (ballot - {version}) | division
-            waiting += sorted(filter(is_coarse, division), key=lambda one: sorted(one.parts))
-    return ballot
-
-
-def _division(version: Version, ballots: Sequence[AbstractSet[Version]]) -> frozenset[Version]:
-    """Returns the wholes that another divides one into: those that leave least, the usual ones."""
-    number = Counter(
-        frozenset(one for one in ballot if one.parts < version.parts) for ballot in ballots
-    )
-
-    def rank(division: frozenset[Version]) -> tuple[int, int, Any]:
-        held = {part for one in division for part in one.parts}
-        return len(held), number[division], sorted(sorted(one.parts) for one in division)
-
-    return max(number, key=rank)
-
-
-def _coarsely(
-    ballot: AbstractSet[Version], ballots: Sequence[AbstractSet[Version]]
-) -> AbstractSet[Version]:
-    """Exchanges wholes that share parts for the whole of them all that most others have."""
-    for part in sorted({part for one in ballot for part in one.parts}):
-        mine = [one for one in ballot if part in one.parts]
-        if len(mine) < 2 or any(one.row >= 0 for one in mine):
-            continue
-        parts = frozenset().union(*(one.parts for one in mine))
-        around = Counter(one for other in ballots for one in other if one.parts >= parts)
-        if around:
-            best = max(around, key=lambda one: (around[one], -len(one.parts), sorted(one.parts)))
-            ballot = {one for one in ballot if not one.parts <= best.parts} | {best}
     return ballot
 
 

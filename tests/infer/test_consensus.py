@@ -8,7 +8,7 @@ import pytest
 
 from sg3d_jax.data import registry
 from sg3d_jax.infer.candidates import num_flaws
-from sg3d_jax.infer.consensus import Version, consensus, divided_alike, elected
+from sg3d_jax.infer.consensus import Version, consensus, elected
 from sg3d_jax.metrics.calibration import identities
 from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import make_graph, ontology_of, subgraph, undirected_edges
@@ -264,52 +264,3 @@ def test_wholes_that_are_elected_have_no_part_in_common_and_all_parts_a_whole(se
         chosen = elected(ballots, start)
         parts = [part for version in chosen for part in version.parts]
         assert sorted(parts) == [*range(12)]
-
-
-# A wall between one room and two others: one, or two; here, and elsewhere in the scene.
-LUMP, PAIRS = {room(0, 1, 2)}, {room(0, 1), room(0, 2)}
-LUMP_THERE, PAIRS_THERE = {room(3, 4, 5)}, {room(3, 4), room(3, 5)}
-APART = [*range(6)]  # the side of each plane
-
-
-def test_walls_are_divided_as_most_of_the_scene_is():
-    fine, coarse = PAIRS | PAIRS_THERE, LUMP | LUMP_THERE
-    lumped, divided = LUMP | PAIRS_THERE, PAIRS | LUMP_THERE
-    assert divided_alike([lumped, lumped, fine], [APART] * 3, 2) == [fine] * 3
-    assert divided_alike([divided, divided, coarse], [APART] * 3, 2) == [coarse] * 3
-    wider = {room(0, 1, 2, 6)} | LUMP_THERE
-    assert divided_alike([divided, wider, wider, coarse], [[*range(7)]] * 4, 2)[0] == wider
-    assert divided_alike([LUMP, PAIRS], [APART] * 2, 2) == [LUMP, PAIRS]  # as many say either
-
-
-def test_what_a_whole_is_divided_into_is_divided_again():
-    whole, half = {room(0, 1, 2, 3)}, {room(0, 1, 2), room(0, 3)}
-    fine = PAIRS | {room(0, 3)}
-    ballots = divided_alike([whole, half, fine | PAIRS_THERE], [APART] * 3, 2)
-    assert ballots == [fine, fine, fine | PAIRS_THERE]
-
-
-def test_a_wall_with_two_planes_of_one_room_is_not_coarse():
-    assert divided_alike([LUMP, PAIRS, PAIRS], [[0, 1, 1]] * 3, 2) == [LUMP, PAIRS, PAIRS]
-
-
-def test_wholes_that_are_given_are_not_exchanged():
-    given = {room(0, 1, 2, row=6)}
-    assert divided_alike([given, PAIRS, PAIRS], [APART] * 3, 2)[0] == given
-    one_given = {room(0, 1, row=6), room(0, 2)}
-    assert divided_alike([one_given, LUMP, LUMP], [APART] * 3, 2)[0] == one_given
-
-
-@pytest.mark.parametrize(
-    ("truth", "other"),
-    [
-        ([(0, 2), (0, 4), (1, 3), (1, 6)], [(0, 2, 4), (1, 3), (1, 6)]),
-        ([(0, 2, 4), (1, 3, 6)], [(0, 2), (0, 4), (1, 3, 6)]),
-    ],
-    ids=["finely", "coarsely"],
-)
-def test_a_wall_that_most_divide_otherwise_than_the_scene_is_as_in_the_scene(truth, other):
-    right, wrong = (drawn(A, B, C, D, walls=walls) for walls in (truth, other))
-    for order in in_turn([wrong, wrong, right]):
-        graph, _ = consensus(order, NUM_PLANES)
-        assert exact_structure(graph, right)
