@@ -142,15 +142,16 @@ def _finely(
 
 
 def _division(version: Version, ballots: Sequence[AbstractSet[Version]]) -> frozenset[Version]:
-    """Returns the wholes that another divides one into: those that leave least, the usual ones."""
+    """Returns what another divides a whole into: what leaves least, of that the fewest wholes."""
     number = Counter(
         frozenset(one for one in ballot if one.row < 0 and one.parts < version.parts)
         for ballot in ballots
     )
 
-    def rank(division: frozenset[Version]) -> tuple[int, int, Any]:
+    def rank(division: frozenset[Version]) -> tuple[int, int, int, Any]:
         held = {part for one in division for part in one.parts}
-        return len(held), number[division], sorted(sorted(one.parts) for one in division)
+        wholes = sorted(sorted(one.parts) for one in division)
+        return len(held), -len(wholes), number[division], wholes
 
     return max(number, key=rank)
 

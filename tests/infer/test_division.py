@@ -66,6 +66,12 @@ def test_what_a_wall_is_divided_into_is_divided_again():
     assert made == [fine, fine, fine | PAIRS_THERE]
 
 
+def test_a_wall_is_divided_into_as_few_as_another_has_that_leave_no_plane():
+    twice = PAIRS | {wall(0, 1, row=-2)}
+    part = {wall(0, 1)} | PAIRS_THERE
+    assert exchanged([LUMP, twice, twice, part, PAIRS], [APART] * 5, 2)[0] == PAIRS
+
+
 def test_a_wall_with_two_planes_of_one_room_is_not_coarse():
     sides = {1: 9, 2: 9}
     assert exchanged([LUMP, PAIRS, PAIRS], [sides] * 3, 2) == [LUMP, PAIRS, PAIRS]
