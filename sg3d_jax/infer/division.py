@@ -1,8 +1,8 @@
 """How finely wholes are divided: put to the vote once a scene, before what they are, one by one.
 
 Between one room and three others floor plans have one wall, the paper's synthetic sets have three.
-Planes do not tell which is meant, and candidates waver from place to place; but over all of a scene
-all of them together do tell.
+Planes do not tell which is meant, and candidates waver from place to place; all of them together,
+over all of a scene, tell it better.
 
 Source: ours.
 """
@@ -103,22 +103,29 @@ def exchanged(
 ) -> Sequence[AbstractSet[Version]]:
     """Exchanges wholes that are divided otherwise than most, where others have them so.
 
-    A part of several wholes says that they are divided finely, a whole with more sides than it
-    needs that they are not; all candidates and all places are counted together.
+    A part of wholes with different sides says that they are divided finely, a whole with more sides
+    than it needs that they are not; all candidates and all places are counted together. Two wholes
+    with the same sides, as over a plane that was seen twice, say nothing.
 
     Args:
       ballots: the wholes of each candidate.
-      sides: in each candidate the side that parts are on; others have one each.
+      sides: in each candidate the side that parts are on, if any.
       least: sides that a whole needs.
     """
 
+    def sides_of(version: Version, sides: Mapping[int, int]) -> frozenset[int]:
+        return frozenset(sides[part] for part in version.parts if part in sides)
+
     def spare(version: Version, sides: Mapping[int, int]) -> int:
-        return max(0, len({sides.get(part, ~part) for part in version.parts}) - least)
+        return max(0, len(sides_of(version, sides)) - least)
 
     pairs = [*zip(ballots, sides, strict=True)]
     coarse = sum(spare(version, of) for ballot, of in pairs for version in ballot)
-    fine = sum(len(one.parts) for ballot in ballots for one in ballot)
-    fine -= sum(len({part for one in ballot for part in one.parts}) for ballot in ballots)
+    met = [
+        {(part, sides_of(version, of)) for version in ballot for part in version.parts}
+        for ballot, of in pairs
+    ]
+    fine = sum(len(of_ballot) - len({part for part, _ in of_ballot}) for of_ballot in met)
     if fine > coarse:
         return [
             _finely(ballot, lambda one, of=of: spare(one, of) > 0, ballots) for ballot, of in pairs

@@ -46,7 +46,7 @@ def wall(*planes, row=-1):
 # A wall between one room and two others: one, or two; here, and elsewhere in the scene.
 LUMP, PAIRS = {wall(0, 1, 2)}, {wall(0, 1), wall(0, 2)}
 LUMP_THERE, PAIRS_THERE = {wall(3, 4, 5)}, {wall(3, 4), wall(3, 5)}
-APART = {}  # every plane has a side of its own
+APART = {plane: plane for plane in range(10)}  # each plane is on a side of its own
 
 
 def test_walls_are_divided_as_most_of_the_scene_is():
@@ -72,9 +72,13 @@ def test_a_wall_is_divided_into_as_few_as_another_has_that_leave_no_plane():
     assert exchanged([LUMP, twice, twice, part, PAIRS], [APART] * 5, 2)[0] == PAIRS
 
 
-def test_a_wall_with_two_planes_of_one_room_is_not_coarse():
-    sides = {1: 9, 2: 9}
-    assert exchanged([LUMP, PAIRS, PAIRS], [sides] * 3, 2) == [LUMP, PAIRS, PAIRS]
+def test_two_planes_of_one_room_and_planes_of_none_say_nothing():
+    beside = [LUMP, PAIRS | PAIRS_THERE, PAIRS]
+    for here in ({0: 0, 1: 9, 2: 9}, {0: 0, 1: 1}, {}):
+        sides = here | dict.fromkeys((3, 4, 5), 7)
+        assert exchanged(beside, [sides] * 3, 2) == beside
+    fine = {0: 0, 1: 9, 2: 9, 3: 3, 4: 4, 5: 5}  # the scene is, but this wall has two sides
+    assert exchanged(beside, [fine] * 3, 2)[0] == LUMP
 
 
 def test_walls_that_are_given_are_not_exchanged_and_no_others_get_them():
