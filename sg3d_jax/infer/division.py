@@ -28,9 +28,12 @@ def divided_alike(candidates: Sequence[SceneGraph], num_given: int) -> list[Scen
       num_given: how many of their first nodes were given; what is given is never exchanged.
 
     Returns:
-      The candidates; in some, wholes are exchanged for what others have in their place.
+      The candidates; in some, wholes are exchanged for what others have in their place. One alone
+      has nothing to exchange, and is as it was drawn.
     """
     made = list(candidates)
+    if len(made) == 1:
+        return made
     ontology = ontology_of(candidates[0])
     alone = ontology.may_be_part & ~ontology.has_one_whole & ontology.is_observed[:, None]
     for concept in np.flatnonzero(ontology.may_be_part.any(axis=0)).tolist():
@@ -139,12 +142,11 @@ def _finely(
     ballots: Sequence[AbstractSet[Version]],
 ) -> AbstractSet[Version]:
     """Exchanges coarse wholes for what others divide them into, and that again if it is coarse."""
-    waiting = sorted(filter(is_coarse, ballot), key=lambda one: sorted(one.parts))
+    waiting = [one for one in ballot if one.row < 0]
     for version in waiting:  # which grows, by smaller ones
-        division = _division(version, ballots)
-        if version.row < 0 and len(division) > 1:
+        if is_coarse(version) and len(division := _division(version, ballots)) > 1:
             ballot = (ballot - {version}) | division
-            waiting += sorted(filter(is_coarse, division), key=lambda one: sorted(one.parts))
+            waiting += division
     return ballot
 
 

@@ -34,6 +34,9 @@ def test_what_is_given_and_graphs_that_are_alike_are_left_as_they_are():
     truth, other = (drawn(A, B, C, D, walls=walls) for walls in FINE)
     assert divided_alike([truth, truth], NUM_PLANES) == [truth, truth]
     assert divided_alike([other], NUM_PLANES) == [other]
+    both = drawn(A, B, C, D, walls=[(0, 2, 4), (0, 2), (0, 4), (1, 3), (1, 6)])
+    (made,) = divided_alike([both], NUM_PLANES)
+    assert made is both
     given = drawn(A, B, walls=FINE[1]), drawn(A, B, walls=FINE[1], at=1.0)
     for graph, made in zip(given, divided_alike(given, len(given[0].nodes.label)), strict=True):
         assert made is graph
