@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Key
 
 from sg3d_jax.fill.protocol import Statistics, frame_centre
+from sg3d_jax.flagg.compiled import quick_options
 from sg3d_jax.flagg.removal import Cut
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
 CUTS_A_GRAPH = 16
-GRAPHS_AT_ONCE = 64  # of a stack, so that memory does not grow with the data set
 LEAST_SPREAD = 1e-3  # metres
 
 
@@ -69,12 +69,13 @@ def statistics_of(
             return jax.vmap(lambda key: moments_of(cut_graph(key, graph)))(keys)
 
         keys = jax.random.split(key, graphs.n_node.shape[0])
-        moments = jax.lax.map(lambda one: of_graph(*one), (keys, graphs), batch_size=GRAPHS_AT_ONCE)
+        moments = jax.lax.map(lambda one: of_graph(*one), (keys, graphs))
         return jax.tree.map(lambda leaf: jnp.mean(leaf, axis=(0, 1)), moments)
 
     keys, shares = jax.random.split(jax.random.key(0), len(stacks)), shares_of(stacks)
+    count = jax.jit(mean_moments, compiler_options=quick_options(growing=True))
     with ThreadPoolExecutor() as pool:  # they compile side by side
-        counted = list(pool.map(jax.jit(mean_moments), stacks, keys))
+        counted = list(pool.map(count, stacks, keys))
     labels = sum(
         share * _label_shares(graphs) for share, graphs in zip(shares, stacks, strict=True)
     )
