@@ -17,6 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+LOG_VARIABLE: Final = "TF_CPP_MIN_LOG_LEVEL"
+JAX_SAYS: Final = "1"  # in its place
 CACHE_VARIABLE: Final = "JAX_COMPILATION_CACHE_DIR"
 LEAST_SECONDS_VARIABLE: Final = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 LEAST_SECONDS: Final = 0.3  # of compiling, that a program is worth keeping
@@ -32,9 +34,23 @@ def cache_folder() -> str:
 
 def configure() -> None:
     """Sets what is set at import."""
-    # XLA takes its own compiled programs, read back from disk, for those of another machine.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    silence_xla()
     keep_compiled_programs()
+
+
+def silence_xla() -> None:
+    """Leaves out what XLA logs, unless the user has said otherwise.
+
+    It takes its own compiled programs, read back from disk, for those of another machine, and says
+    so in kilobytes. The variable is read when JAX is imported, which sets it to `JAX_SAYS` where
+    nobody has. Then JAX's option tells XLA, which keeps to it when the option, and with it Python's
+    loggers, are again as before.
+    """
+    if (jax := sys.modules.get("jax")) is None:
+        os.environ.setdefault(LOG_VARIABLE, "3")
+    elif os.environ.get(LOG_VARIABLE) == JAX_SAYS and jax.config.jax_logging_level == "NOTSET":
+        for level in ("CRITICAL", "NOTSET"):
+            jax.config.update("jax_logging_level", level)
 
 
 def keep_compiled_programs() -> None:

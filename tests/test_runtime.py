@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
-from sg3d_jax.runtime import ZSTANDARD, remove_damaged
+from sg3d_jax.runtime import ZSTANDARD, remove_damaged, silence_xla
 
 PROGRAM = "import sg3d_jax, jax; print(jax.config.jax_compilation_cache_dir)"
 
@@ -37,6 +37,24 @@ def test_compiled_programs_are_kept_where_the_user_says_or_in_the_cache(
     run = [sys.executable, "-c", program]
     done = subprocess.run(run, env=environment, check=True, capture_output=True, text=True)
     assert done.stdout.strip() == expected.format(cache=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("said", "level", "expected"),
+    [("1", "NOTSET", ["CRITICAL", "NOTSET"]), ("0", "NOTSET", []), ("1", "INFO", [])],
+    ids=["nobody said anything", "in the environment", "by JAX's option"],
+)
+def test_xla_is_silenced_after_jax_was_imported_unless_the_user_said_otherwise(
+    said, level, expected, monkeypatch
+):
+    levels = []
+    config = types.SimpleNamespace(
+        jax_logging_level=level, update=lambda name, value: levels.append(value)
+    )
+    monkeypatch.setitem(sys.modules, "jax", types.SimpleNamespace(config=config))
+    monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", said)
+    silence_xla()
+    assert levels == expected
 
 
 def test_programs_that_are_cut_short_are_removed_and_whole_ones_are_left(tmp_path):

@@ -50,6 +50,7 @@ from sg3d_jax.io.yaml import SUFFIXES as YAML
 from sg3d_jax.io.yaml import read_yaml
 from sg3d_jax.scene.graph import Array, SceneGraph, observed_of, ontology_of
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, Ontology
+from sg3d_jax.scene.padding import unpad, unpad_all
 from sg3d_jax.scene.validate import check_observed, validate_graph
 
 SPARK_DSG: Final = "spark-dsg"
@@ -169,7 +170,7 @@ def read_planes(path: str | Path, ontology: Ontology = PAPER_ONTOLOGY) -> list[S
 def write_graphs(
     path: str | Path,
     graphs: Sequence[SceneGraph],
-    to: str = "json",
+    to: str | None = None,
     extras: Sequence[Mapping[str, Any]] | None = None,
     walls: str = "edges",
     attributes: Sequence[Attributes] | None = None,
@@ -179,8 +180,8 @@ def write_graphs(
 
     Args:
       path: the file to write; its suffix is one of those that the format has.
-      graphs: unpadded, metres.
-      to: one of `FORMATS`.
+      graphs: metres; those that are padded are written without padding.
+      to: one of `FORMATS`; None for what the suffix names: GraphML, npz or JSON.
       extras: what else the JSON document of each graph should say of it, such as `halt_reason`;
         readers ignore it.
       walls: for Spark-DSG, see `graph_to_spark_dsg`.
@@ -193,7 +194,8 @@ def write_graphs(
       ValueError: a graph breaks the data model, the suffix is not one of the format, attributes
         cannot be written, or the file holds one graph and there are several.
     """
-    path = Path(path)
+    path, graphs = Path(path), unpad_all(graphs)
+    to = _format_of(path) if to is None else to
     check_writable(path, len(graphs), to)
     if to == "npz":
         if attributes is not None:
@@ -224,6 +226,12 @@ def write_graphs(
             write_documents(path, documents)
 
 
+def _format_of(path: Path) -> str:
+    """Returns the format that the suffix of a file names by itself."""
+    suffix = path.suffix.lower()
+    return suffix[1:] if suffix in (".graphml", ".npz") else "json"
+
+
 def write_into(
     path: str | Path,
     graph: SceneGraph,
@@ -235,7 +243,7 @@ def write_into(
 
     Args:
       path: the file to write, a .json; it may be the same.
-      graph: unpadded, metres.
+      graph: metres.
       theirs: the file of Hydra's, which stays as it is.
       attributes: what else is said of the nodes; an `id` that is the symbol of a node of theirs
         tells that it is the same node.
@@ -248,6 +256,7 @@ def write_into(
       ValueError: one sentence that names the file, the node and the field.
     """
     check_writable(path, 1, SPARK_DSG)
+    graph = unpad(graph)
     said = _checked(graph, attributes, edge_confidence, SPARK_DSG, f"{path}: graph 0")
     (where, document), *more = read_documents(theirs)
     if more:

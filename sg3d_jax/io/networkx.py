@@ -55,6 +55,7 @@ from sg3d_jax.scene.ontology import (
     Concept,
     Ontology,
 )
+from sg3d_jax.scene.padding import unpad
 from sg3d_jax.scene.validate import validate_graph
 
 if TYPE_CHECKING:
@@ -90,10 +91,10 @@ class _Kind(NamedTuple):
 def to_networkx(
     graph: SceneGraph, attributes: Attributes | None = None, edge_confidence: Array | None = None
 ) -> "networkx.Graph":
-    """Returns a host graph as a networkx graph.
+    """Returns a graph as a networkx graph.
 
     Args:
-      graph: unpadded, metres.
+      graph: metres; padding is left out.
       attributes: what else to say of each node, JSON values.
       edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`.
 
@@ -107,6 +108,7 @@ def to_networkx(
     """
     import networkx
 
+    graph = unpad(graph)
     held: Attributes = [{}] * len(graph.nodes.label) if attributes is None else attributes
     check_attributes(held, ontology_of(graph), "attributes", names=NAMES)
     if edge_confidence is not None:

@@ -4,7 +4,7 @@ Padding nodes are zero; padding edges are loops on slot 0 with a False mask, so 
 in range and a masked sum ignores them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -59,6 +59,7 @@ def pad(graph: SceneGraph, capacity: Capacity) -> PackedGraph:
     Raises:
       ValueError: the graph does not fit.
     """
+    capacity = Capacity(*capacity)
     num_nodes, num_edges = len(graph.nodes.label), len(graph.senders)
     if num_nodes > capacity.nodes or num_edges > capacity.edges:
         raise ValueError(
@@ -82,8 +83,36 @@ def pad(graph: SceneGraph, capacity: Capacity) -> PackedGraph:
 
 
 def unpad(graph: SceneGraph) -> SceneGraph:
-    """Returns the real nodes and edges of one padded graph as a host graph."""
+    """Returns the real nodes and edges of one graph as a host graph; without padding, as it is.
+
+    Raises:
+      ValueError: it is a stack of graphs, or something else.
+    """
+    if not isinstance(graph, SceneGraph):
+        inside = ", such as its `graph`" if hasattr(graph, "graph") else ""
+        raise ValueError(f"got {type(graph).__name__}, expected a scene graph{inside}")
+    shape = np.shape(graph.nodes.mask)
+    if len(shape) != 1:
+        raise ValueError(
+            f"a stack of graphs of the shape {shape[:-1]}, expected one of them, such as "
+            "jax.tree.map(lambda leaf: leaf[0], stack)"
+        )
+    masks = graph.nodes.mask, graph.edges.mask
+    on_host = not isinstance(graph, PackedGraph) and isinstance(masks[0], np.ndarray)
+    if on_host and all(np.all(mask) for mask in masks):
+        return graph
     return subgraph(graph, np.asarray(graph.nodes.mask))
+
+
+def unpad_all(graphs: Iterable[SceneGraph]) -> list[SceneGraph]:
+    """Returns what `unpad` makes of each.
+
+    Raises:
+      ValueError: it is one graph and no list, or one of them is no graph.
+    """
+    if isinstance(graphs, SceneGraph):
+        raise ValueError("got one scene graph, expected a list of them, such as [graph]")
+    return [unpad(graph) for graph in graphs]
 
 
 def pack(graph: SceneGraph) -> PackedGraph:
@@ -114,7 +143,13 @@ def pack(graph: SceneGraph) -> PackedGraph:
 
 
 def stack(graphs: Sequence[SceneGraph], capacity: Capacity) -> PackedGraph:
-    """Pads host graphs to one capacity and stacks them along a new first axis, on the device."""
+    """Pads host graphs to one capacity and stacks them along a new first axis, on the device.
+
+    Raises:
+      ValueError: there are no graphs, or one does not fit.
+    """
+    if not graphs:
+        raise ValueError("there are no graphs to stack, expected at least one")
     padded = [pad(graph, capacity) for graph in graphs]
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *padded)
 
@@ -171,17 +206,20 @@ def append_block(graph: PackedGraph, block: Block) -> tuple[PackedGraph, Bool[Ar
     capacity, edge_capacity = nodes.mask.shape[0], edges.mask.shape[0]
     num_old, num_old_edges = graph.n_node[0], graph.n_edge[0]
     num_new = jnp.sum(block.mask, dtype=jnp.int32)
-    place = num_old + jnp.cumsum(block.mask) - 1
+    place = num_old + jnp.cumsum(block.mask, dtype=jnp.int32) - 1
     slots = jnp.where(block.mask, place, capacity)  # dropped if beyond
 
+    def put_nodes(array: Array, new: Array) -> Array:
+        return array.at[slots].set(new.astype(array.dtype), mode="drop")
+
     nodes = nodes._replace(  # what is drawn has no features and is not observed: zero, as padding
-        label=nodes.label.at[slots].set(block.label, mode="drop"),
-        position=nodes.position.at[slots].set(block.position, mode="drop"),
+        label=put_nodes(nodes.label, block.label),
+        position=put_nodes(nodes.position, block.position),
         mask=nodes.mask.at[slots].set(True, mode="drop"),
     )
 
     wanted, tokens = _new_pairs(block, graph.nodes.mask, slots)
-    rank = jnp.cumsum(wanted.ravel()).reshape(wanted.shape) - 1
+    rank = jnp.cumsum(wanted.ravel(), dtype=jnp.int32).reshape(wanted.shape) - 1
     count = jnp.sum(wanted, dtype=jnp.int32)
     forward = jnp.where(wanted, num_old_edges + 2 * rank, edge_capacity).ravel()
     backward = jnp.where(wanted, num_old_edges + 2 * rank + 1, edge_capacity).ravel()
@@ -212,7 +250,7 @@ def _new_pairs(
     once = jnp.tril(jnp.ones((num_block, num_block), bool), -1)
     once = jnp.concatenate([once, jnp.ones((num_block, capacity), bool)], axis=1)
     real = jnp.concatenate([block.mask, old_mask])
-    tokens = jnp.concatenate([slots, jnp.arange(capacity)])
+    tokens = jnp.concatenate([slots, jnp.arange(capacity, dtype=jnp.int32)])
     return block.edges & once & real[None, :] & block.mask[:, None], tokens
 
 

@@ -24,6 +24,7 @@ from matplotlib.patches import Patch
 from sg3d_jax.io.files import replacing
 from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
+from sg3d_jax.scene.padding import unpad, unpad_all
 from sg3d_jax.viz.style import (
     CAPTION_COLOUR,
     EDGE_COLOUR,
@@ -66,10 +67,10 @@ def draw_graph(
     node_confidence: Array | None = None,
     edge_confidence: Array | None = None,
 ) -> Axes:
-    """Draws a host graph.
+    """Draws a graph.
 
     Args:
-      graph: unpadded, metres.
+      graph: metres.
       axes: where to draw; None for the axes of a new figure.
       scale: of lines and dots; 1 suits a picture 8 inches wide. Those of large graphs are smaller.
       node_confidence: float[n], 0 to 1; nodes are the fainter the less sure they are. None for all
@@ -80,8 +81,9 @@ def draw_graph(
       The axes, without ticks or frame, a metre equally long in every direction.
 
     Raises:
-      ValueError: a confidence is not that of so many nodes or edges.
+      ValueError: it is no graph, or a confidence is not that of so many nodes or edges.
     """
+    graph = unpad(graph)
     check_confidence(graph, node_confidence, edge_confidence)
     if axes is None:
         axes = Figure(layout="constrained").add_subplot()
@@ -113,10 +115,10 @@ def save_picture(
     node_confidence: Array | None = None,
     edge_confidence: Array | None = None,
 ) -> None:
-    """Draws a host graph with a legend to a file whose suffix names the format (.png, .pdf, .svg).
+    """Draws a graph with a legend to a file whose suffix names the format (.png, .pdf, .svg).
 
     Args:
-      graph: unpadded, metres.
+      graph: metres.
       path: the file to write.
       title: printed above the picture.
       node_confidence: float[n], 0 to 1; nodes are the fainter the less sure they are. None for all
@@ -124,10 +126,10 @@ def save_picture(
       edge_confidence: float[e], 0 to 1, of the rows of `parts_first(graph)`, likewise.
 
     Raises:
-      ValueError: the format is unknown, the file cannot be written, or a confidence is not that of
-        so many nodes or edges.
+      ValueError: it is no graph, the format is unknown, the file cannot be written, or a confidence
+        is not that of so many nodes or edges.
     """
-    figure = _draw_rows([[_Drawn(graph, node_confidence, edge_confidence)]], PICTURE_WIDTH)
+    figure = _draw_rows([[_Drawn(unpad(graph), node_confidence, edge_confidence)]], PICTURE_WIDTH)
     if title:
         figure.suptitle(title)
     save_figure(figure, path)
@@ -151,7 +153,9 @@ def contact_sheet(
     rows = [(title, row) for title, row in rows if row]
     if not rows:
         raise ValueError(f"{path}: there are no graphs, expected at least one to draw")
-    figure = _draw_rows([[_Drawn(graph) for graph in row] for _, row in rows], CELL_WIDTH)
+    figure = _draw_rows(
+        [[_Drawn(graph) for graph in unpad_all(row)] for _, row in rows], CELL_WIDTH
+    )
     firsts = np.cumsum([0] + [len(row) for _, row in rows[:-1]])
     for first, (title, _) in zip(firsts, rows, strict=True):
         figure.axes[first].set_ylabel(title)

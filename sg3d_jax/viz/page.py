@@ -19,6 +19,7 @@ import numpy as np
 
 from sg3d_jax.io.files import replacing
 from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of
+from sg3d_jax.scene.padding import unpad_all
 from sg3d_jax.viz.compare import is_missing, mark_traces, matched
 from sg3d_jax.viz.hover import hover_text
 from sg3d_jax.viz.plan_page import plan_of_page
@@ -49,10 +50,10 @@ def save_page(
     truth: Sequence[SceneGraph] | None = None,
     truth_names: Sequence[Sequence[int | str]] | None = None,
 ) -> None:
-    """Writes host graphs as one self-contained interactive HTML page.
+    """Writes graphs as one self-contained interactive HTML page.
 
     Args:
-      graphs: unpadded, metres; one is shown at a time, chosen from a list.
+      graphs: metres; one is shown at a time, chosen from a list.
       path: the file to write.
       title: of the page; plain text.
       names: of the graphs in the list, such as "truth" and "grown"; numbered by default.
@@ -73,6 +74,7 @@ def save_page(
     """
     from plotly.offline import get_plotlyjs
 
+    graphs = unpad_all(graphs)
     if not graphs:
         raise ValueError(f"{path}: there are no graphs, expected at least one to show")
     if names is None:

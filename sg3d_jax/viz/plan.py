@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
 from sg3d_jax.scene.graph import Array, SceneGraph, ontology_of
+from sg3d_jax.scene.padding import unpad
 from sg3d_jax.viz.figure import (
     CAPTION_SIZE,
     add_lines,
@@ -71,7 +72,7 @@ def save_plan(
     """Draws a host graph from above to a .png, .pdf or .svg file, all its floors in one scale.
 
     Args:
-      graph: unpadded, metres.
+      graph: metres.
       path: the file to write.
       names: of the nodes, such as their ids; areas and floors show theirs. None for their rows.
       node_confidence: float[n], 0 to 1; nodes are the fainter the less sure they are. None for all
@@ -83,6 +84,7 @@ def save_plan(
       ValueError: there is nothing that is seen from above, the format is unknown, the file cannot
         be written, or a confidence is not that of so many nodes.
     """
+    graph = unpad(graph)
     check_confidence(graph, node_confidence, None)
     plan, floor = plan_of(graph), floor_of(graph)
     if not len(plan.segments):

@@ -11,6 +11,7 @@ from sg3d_jax.io.formats import FORMATS, read_graphs, read_planes, write_graphs
 from sg3d_jax.io.s_graphs import planes_to_message
 from sg3d_jax.scene.graph import observed_of, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
+from sg3d_jax.scene.padding import bucket, pad
 
 NUM_GRAPHS = 18  # benchmarks/round_trips.py takes 500
 SUFFIX = {"graphml": ".graphml", "npz": ".npz"}  # of a file with one graph; .json for the others
@@ -34,6 +35,14 @@ def assert_same(graph, expected):
         npt.assert_array_equal(
             undirected_edges(graph, relation), undirected_edges(expected, relation)
         )
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".graphml", ".json", ".jsonl"])
+def test_a_padded_graph_is_written_without_padding_as_the_suffix_says(graphs, suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    write_graphs(path, [pad(graphs[0], bucket(100))])
+    (read,) = read_graphs(path)
+    npt.assert_array_equal(read.nodes.position, graphs[0].nodes.position)
 
 
 @pytest.mark.parametrize("to", ["json", "networkx", "spark-dsg"])

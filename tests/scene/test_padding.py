@@ -1,5 +1,6 @@
 import inspect
 from itertools import pairwise
+from typing import NamedTuple
 
 import chex
 import jax
@@ -27,12 +28,20 @@ from sg3d_jax.scene.padding import (
     part_of_adjacency,
     stack,
     unpad,
+    unpad_all,
     without_proximity,
 )
 from tests.own_world import ONTOLOGY, own_world
+from tests.unchecked import unchecked
 
 CAPACITY = Capacity(16, 256)
 BLOCK_CAPACITY = 4
+
+
+class Named(NamedTuple):
+    """What has a graph and is none."""
+
+    graph: SceneGraph
 
 
 def random_graph(seed, num_nodes=9):
@@ -125,6 +134,28 @@ def test_a_graph_may_fill_its_capacity():
     graph = random_graph(1)
     exact = Capacity(len(graph.nodes.label), len(graph.senders))
     assert_same_graph(unpad(pad(graph, exact)), graph)
+
+
+def test_a_graph_without_padding_is_unpadded_as_it_is():
+    graph = random_graph(0)
+    padded = pad(graph, Capacity(16, 160))
+    first, second = unpad_all(one for one in (graph, padded))
+    assert first is graph
+    assert_same_graph(second, graph)
+
+
+def test_what_cannot_be_padded_or_unpadded_is_refused():
+    graph = random_graph(0)
+    refusals = (
+        (lambda: unpad(stack([graph] * 2, CAPACITY)), r"of the shape \(2,\), expected one of them"),
+        (lambda: unpad(Named(graph)), "got Named, expected a scene graph, such as its `graph`$"),
+        (lambda: unpad_all([3]), "got int, expected a scene graph$"),
+        (lambda: unpad_all(graph), "got one scene graph, expected a list of them"),
+        (lambda: stack([], CAPACITY), "no graphs to stack, expected at least one"),
+    )
+    for call, sentence in refusals:
+        with unchecked(), pytest.raises(ValueError, match=sentence):
+            call()
 
 
 @pytest.mark.parametrize(("fewer_nodes", "fewer_edges"), [(1, 0), (0, 1)])
@@ -312,8 +343,8 @@ def test_appending_after_packing_keeps_every_node(seed, num_new):
     ids=["masked", "without proximity", "unpadded", "of no known order"],
 )
 def test_a_graph_that_is_not_packed_is_not_appended_to(holey):
-    unchecked = inspect.unwrap(append_block)  # the tests' type checker would be first to refuse
-    for append_any in (unchecked, jax.jit(unchecked)):
+    own_check = inspect.unwrap(append_block)  # the tests' type checker would be first to refuse
+    for append_any in (own_check, jax.jit(own_check)):
         with pytest.raises(TypeError, match="only a PackedGraph can be appended to"):
             append_any(holey(), random_block(6, 2))
 

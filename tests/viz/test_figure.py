@@ -8,6 +8,7 @@ from matplotlib.image import imread
 
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.ontology import CITY, FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
+from sg3d_jax.scene.padding import bucket, pad
 from sg3d_jax.viz.figure import contact_sheet, dataset_sheet, draw_graph, save_picture
 from sg3d_jax.viz.style import (
     EDGE_COLOUR,
@@ -54,6 +55,13 @@ def test_everything_lies_inside_the_frame(graph):
     assert np.all(seen >= low[None])
     assert np.all(seen <= high[None])
     assert axes.get_aspect() == 1
+
+
+def test_padding_is_not_drawn():
+    graph = one_room()
+    drawn, padded = (draw_graph(one) for one in (graph, pad(graph, bucket(40))))
+    for one, other in zip(drawn.collections, padded.collections, strict=True):
+        npt.assert_array_equal(one.get_offsets(), other.get_offsets())
 
 
 def test_axes_of_the_caller_are_used():
