@@ -243,7 +243,7 @@ def test_a_graph_is_drawn(capsys):
     for arguments, sentence in (
         (("graphs.jsonl", "-o", "b.png", "--index", 2), "--index must be in 0..1, got 2"),
         (("s-f", "-o", "b.png", "--index", -1), "--index must be at least 0, got -1"),
-        (("s-f", "-o", "b.png", "--index", 10**12), "graphs are asked for, expected 200000 at mo"),
+        (("s-f", "-o", "b.png", "--index", 10**12), "graphs are asked for, expected 0 to 200000"),
         (("nothing.json", "-o", "b.png"), "nothing.json: No such file"),
         (("graphs.jsonl", "-o", "b.xyz"), "expected"),
         (("graphs.jsonl", "-o", "nowhere/b.png"), "nowhere/b.png"),

@@ -226,8 +226,8 @@ def _drawn(name: str, spec: DatasetSpec, num_graphs: int | None, seed: int) -> l
         command = f"sg3d data import {name} FILE -o {name}.npz"
         raise ValueError(f"{name} cannot be generated, expected the file that `{command}` writes")
     count = spec.num_graphs if num_graphs is None else num_graphs
-    if count > MAX_GRAPHS:
-        raise ValueError(f"{name}: {count} graphs are asked for, expected {MAX_GRAPHS} at most")
+    if not 0 <= count <= MAX_GRAPHS:
+        raise ValueError(f"{name}: {count} graphs are asked for, expected 0 to {MAX_GRAPHS}")
     places = watched(range(count), "graphs")
     return [synthetic.make_scene(spec.config, seed, index) for index in places]
 
