@@ -1,12 +1,15 @@
-"""How growing and training are compiled: quickly, and without keeping the memory of it."""
+"""How growing and training are compiled: quickly, in 32 bits, and keeping no memory of it."""
 
 import ctypes
 import functools
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import Any
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any, Final
 
 import jax
+import numpy as np
+
+NARROW: Final = {np.dtype(np.float64): np.float32, np.dtype(np.int64): np.int32}
 
 
 def quick_options(growing: bool = False) -> dict[str, int | bool] | None:
@@ -26,6 +29,22 @@ def quick_options(growing: bool = False) -> dict[str, int | bool] | None:
     return {"xla_backend_optimization_level": 1} | (
         {"xla_cpu_use_fusion_emitters": False} if older else {}
     )
+
+
+@contextmanager
+def own_types() -> Generator[None]:
+    """Has JAX trace what is within in 32 bits and mix types, whatever its user has told it.
+
+    What is drawn is then the same under `jax_enable_x64`, and masks may be multiplied under
+    `jax_numpy_dtype_promotion=strict`.
+    """
+    with jax.enable_x64(False), jax.numpy_dtype_promotion("standard"):
+        yield
+
+
+def in_32_bits(tree: Any) -> Any:
+    """Returns a tree of arrays whose wide numbers are float32 and int32; all others stay."""
+    return jax.tree.map(lambda array: array.astype(NARROW.get(array.dtype, array.dtype)), tree)
 
 
 def give_back_memory() -> None:

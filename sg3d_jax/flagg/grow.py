@@ -15,8 +15,8 @@ from jaxtyping import Array, Int, Key
 
 from sg3d_jax.diffusion.threefry import unrolled
 from sg3d_jax.fill.constraints import num_parts, upwards
-from sg3d_jax.flagg.compiled import Compiled
-from sg3d_jax.flagg.step import Flagg, Params
+from sg3d_jax.flagg.compiled import Compiled, in_32_bits, own_types
+from sg3d_jax.flagg.step import Flagg, Params, check_grows
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
 from sg3d_jax.scene.padding import without_proximity
 from sg3d_jax.scene.proximity import connect_observed
@@ -40,7 +40,7 @@ def grow(
     params: Params,
     key: Key[Array, ""],
     given: PackedGraph,
-    max_steps: int = DEFAULT_MAX_STEPS,
+    max_steps: Int[Array, ""] | int = DEFAULT_MAX_STEPS,
     ask_first: bool = False,
     steps: Int[Array, ""] | int = 0,
 ) -> Grown:
@@ -60,13 +60,19 @@ def grow(
         one.
 
     Returns:
-      The graph without proximity edges; what was given is as it was, bit for bit, and comes first.
+      The graph without proximity edges, in 32 bits, whatever JAX is told; what was given is as it
+      was, bit for bit, and comes first.
+
+    Raises:
+      ValueError: the model does not grow, or the parameters are none of one that does.
 
     Source: paper, Sec. "Generating 3DSGs".
     """
-    begun = _begun(model, params, key, given, max_steps, ask_first, steps)
-    step = functools.partial(_with_block, model, params, unrolled(key), max_steps)
-    return _ended(jax.lax.while_loop(lambda growing: growing.reason == RUNNING, step, begun))
+    check_grows(model, params)
+    with own_types():
+        begun = _begun(model, params, key, given, max_steps, ask_first, steps)
+        step = functools.partial(_with_block, model, params, unrolled(key), max_steps)
+        return _ended(jax.lax.while_loop(lambda growing: growing.reason == RUNNING, step, begun))
 
 
 class _Growing(NamedTuple):
@@ -83,29 +89,33 @@ def _begun(
     params: Params,
     key: Key[Array, ""],
     given: PackedGraph,
-    max_steps: int,
+    max_steps: Int[Array, ""] | int,
     ask_first: bool,
     steps: Int[Array, ""] | int,
 ) -> _Growing:
     """Returns what is given before its first block."""
-    graph, steps = connect_observed(given), jnp.asarray(steps, jnp.int32)
-    reason, closing = jnp.asarray(RUNNING), jnp.zeros((), bool)
+    graph = connect_observed(in_32_bits(given))
+    steps, reason, closing = jnp.asarray(steps, jnp.int32), jnp.int32(RUNNING), jnp.zeros((), bool)
     if ask_first:
         is_asked = jnp.any(graph.nodes.mask & ~graph.nodes.observed) & (steps == 0)
         key = jax.random.fold_in(unrolled(key), max_steps)
         halted, closing = model.halts(params, key, graph)
-        reason, closing = jnp.where(is_asked & halted, HALTED, RUNNING), is_asked & closing
+        reason, closing = jnp.where(is_asked & halted, HALTED, reason), is_asked & closing
     return _Growing(graph, reason, steps, closing)
 
 
 def _with_block(
-    model: Flagg, params: Params, key: Key[Array, ""], max_steps: int, growing: _Growing
+    model: Flagg,
+    params: Params,
+    key: Key[Array, ""],
+    max_steps: Int[Array, ""] | int,
+    growing: _Growing,
 ) -> _Growing:
     """Returns a graph with the next block, and whether that was the last one."""
     key = jax.random.fold_in(key, growing.steps)
     grown = model.step(params, key, growing.graph, growing.closing)
     steps = growing.steps + grown.fits
-    reason = jnp.where(steps >= max_steps, MAX_STEPS, RUNNING)
+    reason = jnp.where(steps >= max_steps, jnp.int32(MAX_STEPS), RUNNING)
     reason = jnp.where(num_twins(grown.graph) > TWINS, REPEATED, reason)
     reason = jnp.where(grown.halted, HALTED, reason)
     reason = jnp.where(grown.fits, reason, CAPACITY)
@@ -132,14 +142,14 @@ def _ended(growing: _Growing) -> Grown:
     return Grown(without_proximity(growing.graph), growing.reason, growing.steps)
 
 
-@functools.partial(Compiled, static_argnames=("model", "max_steps", "ask_first", "lanes", "mesh"))
+@functools.partial(Compiled, static_argnames=("model", "ask_first", "lanes", "mesh"))
 def grow_lanes(
     model: Flagg,
     params: Params,
     keys: Key[Array, " B"],
     given: PackedGraph,
     steps: Int[Array, " B"],
-    max_steps: int,
+    max_steps: Int[Array, ""] | int,
     ask_first: bool,
     lanes: int | None = None,
     mesh: Mesh | None = None,
@@ -160,21 +170,21 @@ def grow_lanes(
       mesh: of one axis, devices that the batch is dealt to, each a run of it; None for the one on
         which it is.
     """
-    grown = functools.partial(_lanes_grown, model, max_steps, ask_first, lanes)
-    if mesh is None:
-        return grown(params, keys, given, steps)
-    dealt = PartitionSpec(mesh.axis_names)
-    specs = PartitionSpec(), dealt, dealt, dealt
-    grown = jax.shard_map(grown, mesh=mesh, in_specs=specs, out_specs=dealt, check_vma=False)
-    return grown(params, keys, given, steps)
+    grown = functools.partial(_lanes_grown, model, ask_first, lanes)
+    if mesh is not None:
+        same, dealt = PartitionSpec(), PartitionSpec(mesh.axis_names)
+        specs = same, same, dealt, dealt, dealt
+        grown = jax.shard_map(grown, mesh=mesh, in_specs=specs, out_specs=dealt, check_vma=False)
+    with own_types():
+        return grown(params, jnp.asarray(max_steps, jnp.int32), keys, given, steps)
 
 
 def _lanes_grown(
     model: Flagg,
-    max_steps: int,
     ask_first: bool,
     lanes: int | None,
     params: Params,
+    max_steps: Int[Array, ""],
     keys: Key[Array, " B"],
     given: PackedGraph,
     steps: Int[Array, " B"],

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Key
 from sg3d_jax.diffusion.threefry import unrolled
 from sg3d_jax.fill.constraints import Rules, is_whole, rules_of
 from sg3d_jax.fill.protocol import Fill, Terms
+from sg3d_jax.flagg.compiled import in_32_bits, own_types
 from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
 from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss
 from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss
@@ -119,6 +120,12 @@ class Flagg:
 
         Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
         """
+        with own_types():
+            return self._loss(params, key, in_32_bits(graph))
+
+    def _loss(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
+    ) -> tuple[Float[Array, ""], Terms]:
         key_cut, key_corrupt, key_blocks, key_fill = jax.random.split(unrolled(key), 4)
         config, number = self.config, self.config.continuations
         cut = cut_graph(config, key_cut, graph)
@@ -190,6 +197,19 @@ class Flagg:
 
     def _rules(self, graph: SceneGraph, closing: Bool[Array, ""] | bool = False) -> Rules:
         return rules_of(graph, max(self.config.coins), self.config.layers, closing)
+
+
+def check_grows(model: Any, params: Any) -> None:
+    """Refuses what does not grow, and what are no parameters of what does.
+
+    Raises:
+      ValueError: one sentence that says what it is.
+    """
+    if not isinstance(model, Flagg):
+        raise ValueError(f"the model is a {type(model).__name__}, expected one that grows, a Flagg")
+    if not isinstance(params, Params):
+        held = type(params).__name__
+        raise ValueError(f"the parameters are a {held}, expected Params of a model that grows")
 
 
 def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:

@@ -1,19 +1,20 @@
 """The one way in: scene graphs completed from host graphs, by any model."""
 
 from collections.abc import Callable, Generator, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, SupportsIndex
 
 import numpy as np
 
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, HALT_REASONS
 from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.infer.arguments import check_params, whole_number
 from sg3d_jax.infer.candidates import are_settled
 from sg3d_jax.infer.confidence import Confidence, judged, sure_of
 from sg3d_jax.infer.consensus import consensus
 from sg3d_jax.infer.division import divided_alike
 from sg3d_jax.infer.kinds import chances_of_kinds, with_kinds
-from sg3d_jax.infer.lanes import Course, Model, complete_lanes
+from sg3d_jax.infer.lanes import WORD, Course, Model, complete_lanes
 from sg3d_jax.infer.prepare import Scene, in_place, prepare, whole_again
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
@@ -86,25 +87,30 @@ def complete(
     model: Model,
     params: Params,
     scenes: Sequence[SceneGraph],
-    seed: int = 0,
-    samples: int = 1,
-    candidates: int | None = None,
+    seed: SupportsIndex = 0,
+    samples: SupportsIndex = 1,
+    candidates: SupportsIndex | None = None,
     keep: bool = False,
-    lanes: int | None = None,
+    lanes: SupportsIndex | None = None,
     outgrow: bool = True,
-    max_steps: int = DEFAULT_MAX_STEPS,
+    max_steps: SupportsIndex = DEFAULT_MAX_STEPS,
     names: Sequence[str] | None = None,
     normals: str = "check",
     cut: str = "auto",
 ) -> list[list[Completion]]:
     """Completes scene graphs from host graphs, in compiled batches.
 
+    Graphs grow in threads. What JAX is told by `jax.config.update` counts there, and so do those of
+    its context managers around the call that `infer.lanes.TOLD` lists; others, such as
+    `jax.set_mesh`, do not. Whatever it is told of types, graphs grow in 32 bits.
+
     Args:
       model: of any method.
-      params: its parameters.
+      params: its parameters, all of them finite.
       scenes: host graphs of any size, such as `sg.planes` or `sg.read_graphs` gives. Of each the
         observed nodes are taken; MiDi+Or also counts the others.
-      seed: with the position of a scene in `scenes` and the number of the sample, fixes it.
+      seed: 0 or more; with the position of a scene in `scenes`, the number of the sample, and how
+        many candidates there are, fixes it.
       samples: graphs a scene.
       candidates: graphs that are drawn for each of them at most, and no more once more than half
         are alike; what most of them have is kept. None for 8 where one sample a scene is asked for,
@@ -115,7 +121,7 @@ def complete(
         it, but for rounding.
       outgrow: whether a graph that does not fit its bucket goes on in the next, with room for up to
         1.25 new nodes a plane; else it ends there, with the halt reason CAPACITY.
-      max_steps: a limit on the number of blocks.
+      max_steps: a limit on the number of blocks, at least 1; any of them takes the same program.
       names: what a refusal calls each scene, such as "planes.jsonl: line 3".
       normals: "check" to turn normals that point out of rooms all over, "as-given" to turn none.
       cut: "auto" to cut planes that several rooms share where other walls abut, and to join the
@@ -126,8 +132,8 @@ def complete(
 
     Raises:
       ValueError: one sentence that names the scene, the node, the field and what was expected: a
-        scene without planes, numbers that are none, wrong shapes; a model that cannot keep; numbers
-        out of range.
+        scene without planes, numbers that are none, wrong shapes; a model that cannot keep;
+        parameters that are not finite or of another model; numbers out of range.
     """
     return list(
         complete_each(
@@ -152,17 +158,17 @@ def complete_each(
     model: Model,
     params: Params,
     scenes: Sequence[SceneGraph],
-    seed: int = 0,
-    samples: int = 1,
-    candidates: int | None = None,
+    seed: SupportsIndex = 0,
+    samples: SupportsIndex = 1,
+    candidates: SupportsIndex | None = None,
     keep: bool = False,
-    lanes: int | None = None,
+    lanes: SupportsIndex | None = None,
     outgrow: bool = True,
-    max_steps: int = DEFAULT_MAX_STEPS,
+    max_steps: SupportsIndex = DEFAULT_MAX_STEPS,
     names: Sequence[str] | None = None,
     normals: str = "check",
     cut: str = "auto",
-    numbers: Sequence[int] | None = None,
+    numbers: Sequence[SupportsIndex] | None = None,
 ) -> Generator[list[Completion]]:
     """Completes scene graphs as `complete` does, and hands out each as soon as it is there.
 
@@ -174,17 +180,16 @@ def complete_each(
     Returns:
       For every scene, in order, its samples. What is refused is so before anything is begun.
     """
-    for name, value in (
-        ("samples", samples),
-        ("candidates", 1 if candidates is None else candidates),
-        ("lanes", 1 if lanes is None else lanes),
-    ):
-        if value < 1:
-            raise ValueError(f"{name} is {value}, expected at least 1")
+    seed, samples = whole_number("the seed", seed, least=0), whole_number("samples", samples)
+    max_steps = whole_number("max_steps", max_steps, most=2**31 - 1)
+    candidates = None if candidates is None else whole_number("candidates", candidates)
+    lanes = None if lanes is None else whole_number("lanes", lanes)
+    check_params(model, params)
     if keep and not isinstance(model, Flagg):
         given = model.ontology.observed_plural
         raise ValueError(f"keep: this model completes {given} alone, expected one that grows")
     prepared = prepare(scenes, model.ontology, keep, names, normals, cut)
+    numbers = None if numbers is None else _numbers(numbers, len(prepared))
     most = (CANDIDATES if samples == 1 else 1) if candidates is None else candidates
 
     def kinds(scene: Scene, graph: SceneGraph) -> np.ndarray | None:
@@ -196,6 +201,13 @@ def complete_each(
 
     limits = seed, max_steps, numbers, lanes, outgrow
     return complete_lanes(model, params, prepared, course, *limits)
+
+
+def _numbers(numbers: Sequence[SupportsIndex], count: int) -> list[int]:
+    """Returns the numbers of so many scenes, which JAX takes as words of 32 bits."""
+    if len(numbers) != count:
+        raise ValueError(f"there are {len(numbers)} numbers of {count} scenes, expected as many")
+    return [whole_number("a number of a scene", number, 0, 2**WORD - 1) for number in numbers]
 
 
 def share_halted(completions: Sequence[Completion]) -> float | None:

@@ -9,6 +9,7 @@ import operator
 import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
 from typing import Any, Final, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import jax
@@ -18,9 +19,10 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Key
 
 from sg3d_jax.fill.protocol import Params, Terms
-from sg3d_jax.flagg.compiled import give_back_memory
+from sg3d_jax.flagg.compiled import give_back_memory, own_types
 from sg3d_jax.flagg.grow import CAPACITY, Grown, grow_lanes
 from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.infer.arguments import check_shapes
 from sg3d_jax.infer.prepare import Scene
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
 from sg3d_jax.scene.ontology import Ontology
@@ -33,6 +35,12 @@ BEGUN = 16  # scenes under way for each core of a CPU, and for each of the lanes
 MAX_OBSERVED = 1133  # that with what grows from them fit the largest bucket
 _programs: Final[set[Any]] = set()  # that this process has compiled
 WORD = 32  # bits of a seed that JAX takes at once
+# Context managers of JAX that count for one thread alone, each of an option of the same name.
+TOLD: Final = (
+    *("default_device", "default_matmul_precision", "default_prng_impl"),
+    *("enable_x64", "numpy_dtype_promotion", "numpy_rank_promotion", "disable_jit"),
+    *("debug_nans", "debug_infs", "debug_key_reuse", "check_tracer_leaks", "log_compiles"),
+)
 
 
 @runtime_checkable
@@ -248,7 +256,7 @@ class _Runner(NamedTuple):
 
     def program(self, capacity: Capacity) -> Any:
         """Returns what a compiled program of a bucket is known by."""
-        return self.model, capacity, self.width(capacity), self.max_steps, self.mesh
+        return self.model, capacity, self.width(capacity), self.mesh
 
     def run(self, capacity: Capacity, jobs: Sequence[Job]) -> list[Finished]:
         """Runs a batch in one call; those that are no full one are filled up.
@@ -263,8 +271,13 @@ class _Runner(NamedTuple):
         keys = sample_keys(
             self.seed, [self.numbers[job.scene] for job in filled], [job.sample for job in filled]
         )
-        given = stack([job.graph for job in filled], capacity)
-        grown = jax.tree.map(np.asarray, self._completed(capacity, filled, keys, given))
+        with own_types():  # for models that complete at once; growing sees to it by itself
+            given = stack([job.graph for job in filled], capacity)
+            try:
+                grown = jax.tree.map(np.asarray, self._completed(capacity, filled, keys, given))
+            except Exception:
+                check_shapes(self.model, self.params, jax.tree.map(lambda leaf: leaf[0], given))
+                raise
         places = np.argsort(order)[: len(jobs)]
         return [_unstacked(jax.tree.map(operator.itemgetter(i), grown)) for i in places.tolist()]
 
@@ -401,13 +414,14 @@ def _in_order(work: _Work, count: int) -> Generator[Any]:
 def as_here(run: Callable[..., Any]) -> Callable[..., Any]:
     """Returns a function for other threads, in which JAX is told what it is told in this one.
 
-    Such as by `jax.default_device`.
+    By the context managers of `TOLD`, such as `jax.default_device`.
     """
-    told: Any = jax.config
-    device, checks = told.jax_default_device, told.jax_debug_key_reuse
+    told = [(getattr(jax, name), getattr(jax.config, f"jax_{name}")) for name in TOLD]
 
     def run_here(*arguments: Any) -> Any:
-        with jax.default_device(device), jax.debug_key_reuse(checks):
+        with ExitStack() as everything:
+            for tell, value in told:
+                everything.enter_context(tell(value))
             return run(*arguments)
 
     return run_here

@@ -76,6 +76,8 @@ def prepare(
     if cut not in CUT:
         raise ValueError(f"cut is {cut!r:.40}, expected {' or '.join(CUT)}")
     names = [f"scene {index}" for index in range(len(scenes))] if names is None else names
+    if len(names) != len(scenes):
+        raise ValueError(f"there are {len(names)} names of {len(scenes)} scenes, expected as many")
     pairs = zip(scenes, names, strict=True)
     return [_prepared(scene, ontology, keep, where, normals, cut) for scene, where in pairs]
 

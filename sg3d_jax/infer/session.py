@@ -20,7 +20,7 @@ Source: paper, Sec. "Conclusion" (real-time robotics as the next step). The rest
 
 from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, SupportsIndex
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,8 @@ import numpy as np
 
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import HALTED, Grown, grow_lanes
-from sg3d_jax.flagg.step import Flagg
+from sg3d_jax.flagg.step import Flagg, check_grows
+from sg3d_jax.infer.arguments import check_params, whole_number
 from sg3d_jax.infer.confidence import likely
 from sg3d_jax.infer.continuity import Seen, carried
 from sg3d_jax.infer.intake import taken_in
@@ -81,13 +82,17 @@ class Session(NamedTuple):
     remarks: tuple[str, ...]  # on what is observed
 
 
-def begin(ontology: Ontology, seed: int = 0) -> Session:
+def begin(ontology: Ontology, seed: SupportsIndex = 0) -> Session:
     """Returns the session of an empty map.
 
     Args:
       ontology: the concepts, `model.ontology`.
-      seed: of all that is drawn.
+      seed: of all that is drawn, 0 or more.
+
+    Raises:
+      ValueError: the seed is no such number.
     """
+    seed = whole_number("the seed", seed, least=0)
     empty = make_graph([], np.zeros((0, 3)), ontology=ontology)
     pieces = Pieces(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
     number = np.zeros(0, np.int64)
@@ -118,10 +123,14 @@ def update(
 
     Raises:
       ValueError: one sentence that names the update, the id and what was expected: an id that is
-        unknown or told twice, an observed node that is none.
+        unknown or told twice, an observed node that is none; a model that does not grow, parameters
+        that are none of it.
     """
-    number, heir = session.updates + 1, dict(changes.merged)
+    check_grows(model, params)
+    number = session.updates + 1
     where = f"update {number}"
+    changes = _in_plain_ids(changes, where)
+    heir = dict(changes.merged)
     observed, ids = _told(session, changes, where)
     known, banned = _decided(session, changes, where)
     intake = taken_in(observed, where, may_be_few=True)
@@ -156,8 +165,11 @@ def warm_up(model: Flagg, params: Params, num_observed: int) -> None:
       num_observed: nodes that are observed at most, where one that is cut counts as its pieces.
 
     Raises:
-      ValueError: a map of so many exceeds the largest bucket.
+      ValueError: a map of so many exceeds the largest bucket, the model does not grow, or the
+        parameters are not finite.
     """
+    check_grows(model, params)
+    check_params(model, params)
     largest = bucket(_size(int(IN_ALL * num_observed), num_observed))
     capacities = [bucket(size) for size in NODE_CAPACITIES if LEAST <= size <= largest.nodes]
     observed = np.flatnonzero(model.ontology.is_observed)[[0, 0]]
@@ -206,6 +218,28 @@ def nodes_of(session: Session) -> dict[int, GrownNode]:
             confidence=1.0 if firm[row] else sure[pairs[row]],
         )
     return nodes
+
+
+def _in_plain_ids(changes: Any, where: str) -> Changes:
+    """Returns changes whose ids are Python's own numbers and strings, as JSON wants them.
+
+    Raises:
+      ValueError: they are none.
+    """
+    if not isinstance(changes, Changes):
+        held = type(changes).__name__
+        raise ValueError(f"{where}: the changes are a {held}, expected Changes of sg3d_jax.scene")
+
+    def plain(ids: Any) -> tuple[Any, ...]:
+        return tuple(one.item() if isinstance(one, np.generic) else one for one in ids)
+
+    return changes._replace(
+        ids=plain(changes.ids),
+        removed=plain(changes.removed),
+        merged=tuple(plain(pair) for pair in changes.merged),
+        confirmed=plain(changes.confirmed),
+        forbidden=plain(changes.forbidden),
+    )
 
 
 def _told(session: Session, changes: Changes, where: str) -> tuple[SceneGraph, tuple[Id, ...]]:

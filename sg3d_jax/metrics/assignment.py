@@ -77,7 +77,7 @@ def _augment(cost: Float[Array, "N N"], matching: Matching, row: Int[Array, ""])
         return distance, through, visited, *_nearest(distance, visited)
 
     distance = cost[row] - price
-    unvisited = jnp.zeros(columns.shape, bool)
+    unvisited = jnp.zeros_like(distance, bool)
     start = distance, jnp.full(columns.shape, row), unvisited, *_nearest(distance, unvisited)
 
     # A column at no finite distance ends the search too: costs that are not numbers must not hang.

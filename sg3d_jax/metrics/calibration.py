@@ -6,12 +6,13 @@ nothing needs to be matched, and a graph is right all over if and only if its st
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
+from sg3d_jax.scene.padding import unpad_all
 
 BINS: Final = 10
 
@@ -57,23 +58,24 @@ def reliability(confidence: np.ndarray, correct: np.ndarray, bins: int = BINS) -
 
 
 def calibration(
-    generated: Sequence[SceneGraph],
-    truth: Sequence[SceneGraph],
+    generated: Iterable[SceneGraph],
+    truth: Iterable[SceneGraph],
     node_confidence: Sequence[np.ndarray],
     edge_confidence: Sequence[np.ndarray],
 ) -> dict[str, Reliability]:
     """Returns the reliability of all grown nodes, and of all part-of edges, of several graphs.
 
     Args:
-      generated: host graphs.
-      truth: host graphs over the same observed nodes, in the same order.
+      generated: host graphs, or padded ones.
+      truth: likewise, over the same observed nodes, in the same order.
       node_confidence: float[n] of each; of observed nodes, which are given, it is not read.
       edge_confidence: float[e] of each, in the order of `parts_first`.
 
     Returns:
       The two, under "nodes" and "edges".
     """
-    pairs = list(zip(generated, truth, strict=True))
+    generated = unpad_all(generated)
+    pairs = list(zip(generated, unpad_all(truth), strict=True))
     grown = [~np.asarray(graph.nodes.observed) for graph in generated]
     right = [correct_nodes(*pair)[new] for pair, new in zip(pairs, grown, strict=True)]
     sure = [of_graph[new] for of_graph, new in zip(node_confidence, grown, strict=True)]

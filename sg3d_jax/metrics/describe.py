@@ -7,7 +7,7 @@ model would give it.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
@@ -23,14 +23,14 @@ from sg3d_jax.scene.graph import (
     undirected_edges,
 )
 from sg3d_jax.scene.ontology import PART_OF, PROXIMITY
-from sg3d_jax.scene.padding import Capacity, bucket, stack
+from sg3d_jax.scene.padding import Capacity, bucket, stack, unpad_all
 from sg3d_jax.scene.proximity import observed_neighbours
 
 Summary = dict[str, float]
 
 
-def describe(graphs: Sequence[SceneGraph]) -> dict[str, Any]:
-    """Returns statistics of host graphs, as JSON values.
+def describe(graphs: Iterable[SceneGraph]) -> dict[str, Any]:
+    """Returns statistics of host graphs, or of padded ones, as JSON values.
 
     Args:
       graphs: with part-of edges, of one ontology.
@@ -45,6 +45,7 @@ def describe(graphs: Sequence[SceneGraph]) -> dict[str, Any]:
     Raises:
       ValueError: there are no graphs.
     """
+    graphs = unpad_all(graphs)
     if not graphs:
         raise ValueError("no graphs to describe, expected at least one")
     nodes = np.array([len(graph.nodes.label) for graph in graphs])

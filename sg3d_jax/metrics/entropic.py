@@ -33,6 +33,8 @@ from sg3d_jax.metrics.fgw_problem import (
     Scalar,
     Scale,
     centred,
+    check_choices,
+    check_pair,
     mass_of_nodes,
     pose,
     structure_at_plan,
@@ -104,13 +106,19 @@ def entropic_fgw(
 
     Returns:
       `FGW` at a plan that has the marginals of the problem; `value` is without entropy.
-      `iterations` counts linearisations, in all stages.
+      `iterations` counts linearisations, in all stages. The gradient with respect to positions is
+      zero: the problem is a constant.
 
     Raises:
-      ValueError: the graphs have different ontologies.
+      ValueError: the graphs have different ontologies or capacities, `alpha` is not above 0 and at
+        most 1, or there is no such loss.
 
     Source: ott-jax, `GromovWasserstein`; the module docstring.
     """
+    check_choices(alpha, loss)
+    if not isinstance(alpha, jax.Array) and alpha == 0:
+        raise ValueError("alpha is 0, expected a number above 0: ott weighs features against it")
+    check_pair(generated, truth)
     return _entropic_fgw(*centred(generated, truth), alpha, scale, loss, epsilons, polish)
 
 
@@ -126,7 +134,7 @@ def _entropic_fgw(
 ) -> FGW:
     """Returns the FGW distance at an entropic plan of two graphs near the origin."""
     problem = jax.lax.stop_gradient(pose(generated, truth, scale))
-    with jax.numpy_rank_promotion("allow"):  # ott relies on it
+    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):  # as ott needs
         plan, converged, iterations = _anneal(problem, alpha, loss, epsilons)
     start = from_plan(plan, structure_at_plan(problem, plan, loss))
     if polish:

@@ -8,7 +8,7 @@ Source: paper, Sec. "Metrics". What is minimised is in `fgw_problem`, how in `fr
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -26,13 +26,15 @@ from sg3d_jax.metrics.fgw_problem import (
     Scalar,
     Scale,
     centred,
+    check_choices,
+    check_pair,
     one_hot,
     pose,
 )
 from sg3d_jax.metrics.frank_wolfe import TOLERANCE, Search, from_product, minimise
 from sg3d_jax.scene.graph import Edges, Nodes, SceneGraph, make_graph, ontology_of
 from sg3d_jax.scene.ontology import PART_OF, Ontology
-from sg3d_jax.scene.padding import Capacity, bucket, centre_of_observed
+from sg3d_jax.scene.padding import Capacity, bucket, centre_of_observed, unpad_all
 
 HostOrDevice = jax.Array | np.ndarray
 Pair = tuple[SceneGraph, SceneGraph]
@@ -80,10 +82,13 @@ def fgw(
       constant (envelope theorem). `fgw_loss` is the smooth variant for training.
 
     Raises:
-      ValueError: the graphs have different ontologies.
+      ValueError: the graphs have different ontologies or capacities, `alpha` is outside 0 to 1, or
+        there is no such loss.
 
     Source: paper, Sec. "Metrics", Eq. for d_FGW.
     """
+    check_choices(alpha, loss)
+    check_pair(generated, truth)
     return _fgw(*centred(generated, truth), alpha, scale, loss)
 
 
@@ -117,39 +122,45 @@ def matched_labels(
 
     What it puts on dummies is not counted, so a row sums to at most the nodes of its label.
     """
-    left, right = (one_hot(graph) * graph.nodes.mask[:, None] for graph in (generated, truth))
-    num_nodes = jnp.maximum(jnp.sum(generated.nodes.mask), jnp.sum(truth.nodes.mask))
+    masks = generated.nodes.mask, truth.nodes.mask
+    left, right = (
+        jnp.where(mask[:, None], one_hot(graph), 0.0)
+        for mask, graph in zip(masks, (generated, truth), strict=True)
+    )
+    num_nodes = jnp.maximum(*(jnp.sum(mask, dtype=plan.dtype) for mask in masks))
     return num_nodes * left.T @ plan @ right
 
 
 def fgw_pairs(
-    generated: Sequence[SceneGraph],
-    truth: Sequence[SceneGraph],
+    generated: Iterable[SceneGraph],
+    truth: Iterable[SceneGraph],
     alpha: Scalar = ALPHA,
     scale: Scale = PAPER_SCALE,
     loss: Loss = "absolute",
 ) -> FGW:
-    """Returns the FGW distances of many pairs of host graphs.
+    """Returns the FGW distances of many pairs of graphs.
 
     Pairs of one size bucket share a compilation, are solved a fixed number at a time, and are dealt
     to all devices of the CPU: with the option `jax_num_cpu_devices` at the number of cores, to all
     cores. That is so beside an accelerator, too (see `solvers`).
 
     Args:
-      generated: host graphs of any size and anywhere.
-      truth: host graphs, over the same observed nodes in the same order.
-      alpha: weight of the structure.
+      generated: host graphs of any size and anywhere, or padded ones.
+      truth: likewise, over the same observed nodes in the same order.
+      alpha: weight of the structure, from 0 to 1.
       scale: what counts as distance 1.
-      loss: how two hop distances differ.
+      loss: how two hop distances differ: "absolute" or "squared".
 
     Returns:
       `FGW` of numpy arrays with one entry a pair, in the order given; `matched` sums up the plan,
       which is None.
 
     Raises:
-      ValueError: the lists differ in length or are empty, graphs have different ontologies, or one
-        exceeds the largest capacity.
+      ValueError: the lists differ in length, are empty or none, graphs have different ontologies,
+        one exceeds the largest capacity, `alpha` is outside 0 to 1, or there is no such loss.
     """
+    check_choices(alpha, loss)
+    generated, truth = unpad_all(generated), unpad_all(truth)
     if len(generated) != len(truth) or not truth:
         raise ValueError(f"{len(generated)} generated graphs cannot be paired with {len(truth)}")
     if len({ontology_of(graph) for graph in (*generated, *truth)}) > 1:
@@ -210,7 +221,8 @@ def _fgw_chunk(
     origins = np.stack([centre_of_observed(truth) for _, truth in filled])
     ontology = ontology_of(pairs[0][1])
     sides = (_stack(graphs, origins, capacity, ontology) for graphs in zip(*filled, strict=True))
-    scores = _fgw_stacked(*sides, alpha, scale, loss=loss, mesh=mesh)
+    with jax.set_mesh(None):  # one that the caller has set is for its own arrays
+        scores = _fgw_stacked(*sides, alpha, scale, loss=loss, mesh=mesh)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[slots], scores)
 
 

@@ -11,14 +11,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sg3d_jax.metrics.fgw_problem import ALPHA, PAPER_SCALE, Loss, Scalar, Scale, pose
+from sg3d_jax.metrics.fgw_problem import (
+    ALPHA,
+    PAPER_SCALE,
+    Loss,
+    Scalar,
+    Scale,
+    check_choices,
+    check_pair,
+    pose,
+)
 from sg3d_jax.metrics.frank_wolfe import from_product, minimise
 from sg3d_jax.scene.graph import SceneGraph
 
 SOFTENING = 1e-12  # of squared distances, whose root has no gradient at zero
 
 
-@partial(jax.jit, static_argnames="loss")
 def fgw_loss(
     position: Float[Array, "N 3"],
     label: Float[Array, "N C"],
@@ -49,9 +57,29 @@ def fgw_loss(
       A scalar, differentiable with respect to `position` and `label`; gradients are zero at padding
       and finite everywhere. `vmap` over pairs.
 
+    Raises:
+      ValueError: the graphs have different ontologies or capacities, `alpha` is outside 0 to 1, or
+        there is no such loss.
+
     Source: paper, Sec. "Metrics", Eq. for d_FGW.
     Differs: |x| is sqrt(|x|^2 + 1e-12), whose gradient is zero, not undefined, at zero.
     """
+    check_choices(alpha, loss)
+    check_pair(generated, truth)
+    return _fgw_loss(position, label, generated, truth, alpha, scale, loss)
+
+
+@partial(jax.jit, static_argnames="loss")
+def _fgw_loss(
+    position: Float[Array, "N 3"],
+    label: Float[Array, "N C"],
+    generated: SceneGraph,
+    truth: SceneGraph,
+    alpha: Scalar,
+    scale: Scale,
+    loss: Loss,
+) -> Float[Array, ""]:
+    """Returns the loss of a pair that has been checked."""
     placed = generated._replace(nodes=generated.nodes._replace(position=position))
     problem = pose(placed, truth, scale, label, SOFTENING)
     fixed, weight = jax.lax.stop_gradient((problem, alpha))

@@ -19,7 +19,7 @@ Rand rows.
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -58,10 +58,47 @@ class Problem(NamedTuple):
     size: Int[Array, ""]  # nodes with mass
 
 
+def check_choices(alpha: Scalar, loss: str) -> None:
+    """Refuses a weight of the structure and a loss that there are not.
+
+    Args:
+      alpha: a number; one that is traced or on the device is not looked at.
+      loss: by name.
+
+    Raises:
+      ValueError: the weight is outside 0 to 1, or there is no such loss.
+    """
+    if not isinstance(alpha, jax.Array) and not 0 <= alpha <= 1:
+        raise ValueError(f"alpha is {alpha}, expected a number from 0 to 1")
+    if loss not in get_args(Loss):
+        raise ValueError(f"the loss is {loss!r}, expected one of {', '.join(get_args(Loss))}")
+
+
+def check_pair(generated: SceneGraph, truth: SceneGraph) -> None:
+    """Refuses two graphs that are not padded alike; all that it looks at is static.
+
+    Raises:
+      ValueError: they have different ontologies or capacities, no slots, or are stacks.
+    """
+    if ontology_of(generated) != ontology_of(truth):
+        raise ValueError("the generated graph has another ontology than the true one")
+    left, right = (np.shape(graph.nodes.mask) for graph in (generated, truth))
+    if not len(left) == len(right) == 1:
+        raise ValueError(
+            f"the node masks have the shapes {left} and {right}, expected one graph each; "
+            "`jax.vmap` takes stacks of them"
+        )
+    if left != right or left == (0,):
+        raise ValueError(
+            f"the graphs have {left[0]} and {right[0]} slots, expected one capacity, above 0: "
+            "`pad` both to it; `fgw_pairs` takes graphs of any size"
+        )
+
+
 def one_hot(graph: SceneGraph) -> Float[Array, "N C"]:
     """Returns the labels of a padded graph as distributions over its concepts."""
-    num_concepts = ontology_of(graph).num_concepts
-    return jax.nn.one_hot(graph.nodes.label, num_concepts, dtype=graph.nodes.position.dtype)
+    dtype = jnp.result_type(graph.nodes.position)
+    return jax.nn.one_hot(graph.nodes.label, ontology_of(graph).num_concepts, dtype=dtype)
 
 
 def centred(generated: SceneGraph, truth: SceneGraph) -> tuple[SceneGraph, SceneGraph]:
@@ -98,12 +135,7 @@ def pose(
 
     Returns:
       The problem, in the float type of the positions.
-
-    Raises:
-      ValueError: the graphs have different ontologies.
     """
-    if ontology_of(generated) != ontology_of(truth):
-        raise ValueError("the generated graph has another ontology than the true one")
     masks = generated.nodes.mask, truth.nodes.mask
     size = jnp.maximum(*(jnp.sum(mask, dtype=jnp.int32) for mask in masks))
     occupied = jnp.arange(masks[0].shape[0]) < size
@@ -200,7 +232,7 @@ def _structure(
         return total + coupled(*((hops > threshold).astype(dtype) for hops in (left, right)))
 
     thresholds = jnp.minimum(jnp.max(left), jnp.max(right))
-    shared = jax.lax.fori_loop(0, thresholds, overlap, jnp.zeros(left.shape, dtype))
+    shared = jax.lax.fori_loop(0, thresholds, overlap, jnp.zeros_like(problem.features))
     sums = jnp.sum(left, axis=1)[:, None] + jnp.sum(right, axis=0)[None, :]
     return (sums.astype(dtype) - 2 * shared) / problem.unit
 
@@ -211,7 +243,7 @@ def _frame_of_observed(graph: SceneGraph) -> tuple[Float[Array, "3"], Float[Arra
     The spread is 1 m where they do not define one: fewer than two of them, or all in a place.
     """
     observed = graph.nodes.observed[:, None]
-    count = jnp.maximum(jnp.sum(observed), 1)
+    count = jnp.maximum(jnp.sum(observed, dtype=graph.nodes.position.dtype), 1)
     origin = jnp.sum(jnp.where(observed, graph.nodes.position, 0.0), axis=0) / count
     offset = jnp.where(observed, graph.nodes.position - origin[None, :], 0.0)[:, :2]
     spread = _norm(offset.ravel()) / jnp.sqrt(2.0 * count)

@@ -38,8 +38,11 @@ class Search(NamedTuple):
 
 
 def from_plan(plan: Float[Array, "N N"], structure: Float[Array, "N N"]) -> Search:
-    """Returns a search that starts at a plan, given its structure."""
-    return Search(plan, structure, jnp.array(jnp.inf, plan.dtype), jnp.array(0, jnp.int32))
+    """Returns a search that starts at a plan, given its structure.
+
+    The gap is as sharded as the plan: `shard_map` wants every part of a loop's start so.
+    """
+    return Search(plan, structure, jnp.full_like(plan[0, 0], jnp.inf), jnp.array(0, jnp.int32))
 
 
 def from_product(problem: Problem, loss: Loss) -> Search:
@@ -62,6 +65,7 @@ def minimise(problem: Problem, alpha: Scalar, loss: Loss, start: Search) -> Sear
     are alike; where they are not, as with Rand's, a restart does better on about a third of the
     pairs, by at most 0.010.
     """
+    alpha = jnp.full_like(problem.unit, alpha)  # as sharded, see `from_plan`
 
     def step(search: Search) -> Search:
         gradient = (1 - alpha) * problem.features + 2 * alpha * search.structure

@@ -20,7 +20,7 @@ earth mover's distance in place of L2, they do not.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -37,7 +37,7 @@ from sg3d_jax.metrics.descriptors import (
 from sg3d_jax.metrics.gin import GIN, gin_embedding, init_gin
 from sg3d_jax.scene.graph import SceneGraph, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF
-from sg3d_jax.scene.padding import bucket
+from sg3d_jax.scene.padding import bucket, unpad_all
 
 HostOrDevice = jax.Array | np.ndarray
 
@@ -58,14 +58,15 @@ class Description(NamedTuple):
 
 
 def mmd_scores(
-    generated: Sequence[SceneGraph], reference: Sequence[SceneGraph], gin_seed: int = GIN_SEED
+    generated: Iterable[SceneGraph], reference: Iterable[SceneGraph], gin_seed: int = GIN_SEED
 ) -> dict[str, float]:
     """Scores a set of generated graphs against a set of true ones.
 
     Computed in float64, whatever precision is switched on.
 
     Args:
-      generated: host graphs of any size, in any order; their proximity edges are ignored.
+      generated: host graphs of any size, or padded ones, in any order; their proximity edges are
+        ignored.
       reference: likewise; the sets need not be equally large.
       gin_seed: draws the random networks. Scores compare only at one seed.
 
@@ -75,14 +76,16 @@ def mmd_scores(
       for sets of one graph each unless they agree: compare only scores of equally large sets.
 
     Raises:
-      ValueError: a set holds no graph with nodes, or a graph exceeds the largest capacity.
+      ValueError: a set holds no graph with nodes or is one graph, or a graph exceeds the largest
+        capacity.
 
     Source: paper, Sec. "Metrics": Deg., Clust., Spec., GIN.
     Differs: FLAGG keeps only the largest connected component of a generated graph. Here all of it
     counts, so that what is left unconnected shows.
     """
     sets = [
-        [graph for graph in graphs if graph.nodes.mask.any()] for graphs in (generated, reference)
+        [graph for graph in unpad_all(graphs) if len(graph.nodes.label)]
+        for graphs in (generated, reference)
     ]
     if not all(sets):
         raise ValueError(
@@ -91,7 +94,7 @@ def mmd_scores(
         )
     gins = _draw_gins(jax.random.key(gin_seed))
     num_bins = max(_node_capacity(graph) for graphs in sets for graph in graphs)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
         made, true = (_describe(graphs, gins, num_bins) for graphs in sets)
         scores = {
             "degree": histogram_mmd(made.degree, true.degree),
@@ -220,10 +223,10 @@ def _stack(graphs: Sequence[SceneGraph], capacity: int) -> tuple[np.ndarray, np.
     for links, real, graph in zip(adjacency, mask, graphs, strict=False):
         first, second = undirected_edges(graph, PART_OF).T
         links[first, second] = links[second, first] = True
-        real[: len(graph.nodes.mask)] = graph.nodes.mask
+        real[: len(graph.nodes.label)] = True
     return adjacency, mask
 
 
 def _node_capacity(graph: SceneGraph) -> int:
     """Returns the bucket of a graph."""
-    return bucket(len(graph.nodes.mask)).nodes
+    return bucket(len(graph.nodes.label)).nodes

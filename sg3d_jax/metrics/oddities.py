@@ -6,7 +6,7 @@ meant: real recordings have some of it, a faulty conversion has much of it.
 
 import enum
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
 from sg3d_jax.scene.ontology import Ontology
+from sg3d_jax.scene.padding import unpad_all
 from sg3d_jax.scene.validate import seems_not_in_metres
 
 NUMERALS: Final = ("no", "one", "two", "three", "four", "five", "six")
@@ -64,7 +65,7 @@ class Remark(NamedTuple):
     first: int  # the first of them
 
 
-def check(graphs: Sequence[SceneGraph]) -> list[Remark]:
+def check(graphs: Iterable[SceneGraph]) -> list[Remark]:
     """Returns what is unusual, the most frequent first; empty for a clean data set.
 
     With the paper's ontology:
@@ -77,8 +78,9 @@ def check(graphs: Sequence[SceneGraph]) -> list[Remark]:
     - all nodes of a graph that spans kilometres ("too large to be in metres").
 
     Args:
-      graphs: host graphs of one ontology.
+      graphs: host graphs of one ontology, or padded ones.
     """
+    graphs = unpad_all(graphs)
     found = [oddities(graph) for graph in graphs]
     total = sum(found, Counter())
     remarks = []

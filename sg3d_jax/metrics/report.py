@@ -1,7 +1,7 @@
 """One report on a list of generated graphs: distances to the truth, structure, failures."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,49 +19,51 @@ from sg3d_jax.metrics.structure import (
     num_forbidden_edges,
 )
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
+from sg3d_jax.scene.padding import unpad_all
 
 
 def score(
-    generated: Sequence[SceneGraph],
-    truth: Sequence[SceneGraph],
+    generated: Iterable[SceneGraph],
+    truth: Iterable[SceneGraph],
     alpha: float = ALPHA,
     pieces: Sequence[np.ndarray] | None = None,
 ) -> dict[str, Any]:
     """Scores generated graphs against the true ones over the same observed nodes.
 
     Args:
-      generated: host graphs.
-      truth: host graphs, in the same order.
-      alpha: weight of the structure in FGW.
+      generated: host graphs, or padded ones.
+      truth: likewise, in the same order.
+      alpha: weight of the structure in FGW, from 0 to 1.
       pieces: for each graph int[observed], into how many pieces each observed node was cut, each of
         which may have a whole of its own; None for one each.
 
     Returns:
       A dictionary that JSON can hold: the paper's seven scores (means of `fgw`, `gw` and `w`, and
-      MMD^2 of `degree`, `spectrum`, `clustering` and `gin`); the share of graphs whose structure is
-      exact; shares of graphs that obey the hierarchy (`one_parent`, `layer_rule`, `connected`,
-      `no_duplicates`; what is observed and belongs to nothing in truth need not belong to
-      anything); `precision` and `recall` of each concept: of its generated nodes those that
-      the FGW plan puts on true nodes of the same concept, and of the true ones those that are met
-      so; mean absolute and signed errors of node counts, a concept and in total; for each kind of
-      failure its `count` and the `share` of graphs that have it; and the FGW of every pair.
+      MMD^2 of `degree`, `spectrum`, `clustering` and `gin`, which are None where no graph of a set
+      has nodes); the share of graphs whose structure is exact; shares of graphs that obey the
+      hierarchy (`one_parent`, `layer_rule`, `connected`, `no_duplicates`; what is observed and
+      belongs to nothing in truth need not belong to anything); `precision` and `recall` of each
+      concept: of its generated nodes those that the FGW plan puts on true nodes of the same
+      concept, and of the true ones those that are met so; mean absolute and signed errors of node
+      counts, a concept and in total; for each kind of failure its `count` and the `share` of graphs
+      that have it; and the FGW of every pair.
 
     Raises:
-      ValueError: the lists differ in length or are empty, graphs have different ontologies, or one
-        is too large.
+      ValueError: the lists differ in length, are empty or none, graphs have different ontologies,
+        one is too large, or `alpha` is outside 0 to 1.
 
     Source: paper, Sec. "Metrics".
     Differs: all but the seven scores is ours.
     """
+    generated, truth = unpad_all(generated), unpad_all(truth)
     scores = fgw_pairs(generated, truth, alpha)
-    mmd = mmd_scores(generated, truth)
     pairs = list(zip(generated, truth, strict=True))
     return {
         "graphs": len(pairs),
         "fgw": float(np.mean(scores.value)),
         "gw": float(np.mean(scores.gw)),
         "w": float(np.mean(scores.w)),
-        **{name: mmd[name] for name in ("degree", "spectrum", "clustering", "gin")},
+        **_mmd(generated, truth),
         "exact_structure": float(np.mean([exact_structure(*pair) for pair in pairs])),
         **_rules(pairs, pieces),
         **_levels(generated, truth, np.asarray(scores.matched)),
@@ -103,6 +105,17 @@ def _numbers(run: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     for name, column in columns.items():
         for concept, value in column.items():
             yield f"{name}, {concept}", value
+
+
+def _mmd(
+    generated: Sequence[SceneGraph], truth: Sequence[SceneGraph]
+) -> dict[str, float] | dict[str, None]:
+    """Returns the scores of the two sets, in the paper's order; None if one is without nodes."""
+    names = ("degree", "spectrum", "clustering", "gin")
+    if not all(any(len(graph.nodes.label) for graph in each) for each in (generated, truth)):
+        return dict.fromkeys(names)
+    scores = mmd_scores(generated, truth)
+    return {name: scores[name] for name in names}
 
 
 def _rules(

@@ -54,7 +54,7 @@ def hop_distances(adjacency: Bool[Array, "N N"], mask: Bool[Array, " N"]) -> Int
 
     itself = jnp.eye(mask.shape[0], dtype=bool)
     hops = (adjacency & ~itself).astype(jnp.int32)
-    start = itself | adjacency, hops, jnp.array(1, jnp.int32), jnp.array(True)
+    start = itself | adjacency, hops, jnp.array(1, jnp.int32), jnp.any(adjacency)
     known, hops, *_ = jax.lax.while_loop(lambda state: state[-1], widen, start)
     unconnected = mask[:, None] & mask[None, :] & ~known
     return jnp.where(unconnected, 1 + jnp.max(hops, initial=0), hops)

@@ -14,6 +14,7 @@ import numpy as np
 from sg3d_jax.metrics.oddities import components, num_wholes
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, Ontology
+from sg3d_jax.scene.padding import unpad
 
 Neighbours = list[list[int]]
 ObservedSet = frozenset[int]
@@ -31,10 +32,12 @@ def exact_structure(generated: SceneGraph, truth: SceneGraph) -> bool:
     """Returns whether the labelled graphs are isomorphic with what is observed mapped to itself.
 
     Decided by colour refinement from unique colours for observed nodes, which is exact where the
-    true graph without them is a forest: where nothing has two parents that is not observed.
+    true graph without them is a forest: where nothing has two parents that is not observed. Padding
+    does not count.
 
     Source: Arvind et al., "On the power of color refinement", FCT 2015: it identifies forests.
     """
+    generated, truth = unpad(generated), unpad(truth)
     if len(generated.nodes.label) != len(truth.nodes.label):
         return False
     left, right = _stable_colours([_hierarchy(generated), _hierarchy(truth)])
@@ -51,7 +54,7 @@ def node_count_error(generated: SceneGraph, truth: SceneGraph) -> dict[str, int]
 
 
 def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
-    """Counts what is wrong with a generated hierarchy, by kind.
+    """Counts what is wrong with a generated hierarchy, padded or not, by kind.
 
     Nodes of which something observed may be part (walls and rooms, of planes) are known by their
     observed parts. One that is not the true one over its planes is one of
@@ -69,6 +72,7 @@ def failures(generated: SceneGraph, truth: SceneGraph) -> Counter[str]:
     Returns:
       Kinds and how often each occurs; empty if and only if `exact_structure`.
     """
+    generated, truth = unpad(generated), unpad(truth)
     ontology, made, true = ontology_of(truth), _hierarchy(generated), _hierarchy(truth)
     found: Counter[str] = Counter()
     parts = _observed_parts(ontology)

@@ -58,6 +58,12 @@ class Concept:
     above: bool = False
     hears_kin: bool = False
 
+    def __post_init__(self) -> None:
+        """Makes tuples of lists, so that it can be hashed."""
+        for field in ("features", "kinds"):
+            if isinstance(value := getattr(self, field), list):
+                object.__setattr__(self, field, tuple(value))
+
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
@@ -83,8 +89,8 @@ class Ontology:
     never the reverse, and is inserted before it unless another order is asked for.
 
     Attributes:
-      concepts: bottom-up.
-      rules: what may be part of what.
+      concepts: bottom-up; any sequence becomes a tuple.
+      rules: what may be part of what, likewise.
 
     Raises:
       ValueError: names, letters or layers repeat, a feature is unknown, a rule names no two
@@ -96,6 +102,8 @@ class Ontology:
 
     def __post_init__(self) -> None:
         """Refuses what is no ontology."""
+        object.__setattr__(self, "concepts", tuple(self.concepts))
+        object.__setattr__(self, "rules", tuple(self.rules))
         for field in ("name", "letter", "layer"):
             values = [getattr(concept, field) for concept in self.concepts]
             if odd := [value for value in values if not value.isprintable()]:

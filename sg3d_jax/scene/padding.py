@@ -99,7 +99,7 @@ def unpad(graph: SceneGraph) -> SceneGraph:
         )
     masks = graph.nodes.mask, graph.edges.mask
     on_host = not isinstance(graph, PackedGraph) and isinstance(masks[0], np.ndarray)
-    if on_host and all(np.all(mask) for mask in masks):
+    if on_host and all(mask.all() for mask in masks):
         return graph
     return subgraph(graph, np.asarray(graph.nodes.mask))
 

@@ -30,6 +30,7 @@ from tests.growing_rooms import (
     stop_at,
 )
 from tests.two_rooms import NUM_PLANES, on_device, two_rooms
+from tests.unchecked import unchecked
 
 SCENE = two_rooms()
 ROOM_FOR = Capacity(24, 288)
@@ -209,6 +210,27 @@ def test_growing_that_goes_on_in_a_larger_graph__is_growing_at_once():
         np.testing.assert_array_equal(one, other)
     pairs = (undirected_edges(grown.graph, PART_OF) for grown in (rest, whole))
     np.testing.assert_array_equal(*pairs)
+
+
+def test_what_grows__is_the_same_whatever_jax_is_told_of_types():
+    planes, key = given(observed_of(SCENE)), jax.random.key(0)
+    expected = growing(MODEL, stop_at(13), key, planes)
+    assert expected.halt_reason.dtype == np.int32
+    assert not expected.halt_reason.weak_type
+    with jax.enable_x64(True), jax.numpy_dtype_promotion("strict"):
+        chex.assert_trees_all_equal(growing(MODEL, stop_at(13), key, planes), expected)
+        wide = jax.tree.map(lambda leaf: np.asarray(leaf, leaf.dtype.str.replace("4", "8")), planes)
+        assert (wide.nodes.position.dtype, wide.senders.dtype) == (np.float64, np.int64)
+        traced = jax.eval_shape(lambda graph: grow(MODEL, NEVER, key, graph, LIMIT), wide)
+    chex.assert_trees_all_equal_dtypes(traced, expected)
+
+
+def test_what_does_not_grow_and_what_are_no_parameters__are_refused():
+    planes, key = given(observed_of(SCENE)), jax.random.key(0)
+    with unchecked(), pytest.raises(ValueError, match=r"^the model is a Counting, expected"):
+        grow(MODEL.halt, NEVER, key, planes)
+    with unchecked(), pytest.raises(ValueError, match=r"^the parameters are a dict, "):
+        grow(MODEL, {"halt": 1.0}, key, planes)
 
 
 def test_a_graph_with_holes__cannot_grow():

@@ -211,6 +211,13 @@ def test_models_that_are_built_alike__are_one(fill, config, field):
         compiled(make_flagg(FlaggConfig(coins=(1,)), one.fill), jnp.asarray(2))
 
 
+def test_loss__is_in_32_bits_whatever_jax_is_told_of_types():
+    model, graph, key = grows_rooms(1, 2), on_device(two_rooms()), jax.random.key(0)
+    expected = jax.eval_shape(model.loss, NEVER, key, graph)
+    with jax.enable_x64(True), jax.numpy_dtype_promotion("strict"):
+        chex.assert_trees_all_equal(jax.eval_shape(model.loss, NEVER, key, graph), expected)
+
+
 def test_an_order_of_other_concepts__is_refused():
     with pytest.raises(
         ValueError, match=r"flagg\.layers must name each of wall, room, flat, floor"

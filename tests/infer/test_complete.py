@@ -8,7 +8,7 @@ from sg3d_jax.baselines.edge_features import Scales
 from sg3d_jax.baselines.midi_oracle import MiDiOracle, MiDiOracleConfig
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, grow_lanes
 from sg3d_jax.infer import complete as completing
-from sg3d_jax.infer.complete import Completion, complete
+from sg3d_jax.infer.complete import Completion, complete, complete_each
 from sg3d_jax.infer.lanes import growth_capacity
 from sg3d_jax.io.planes import planes
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
@@ -19,6 +19,7 @@ from sg3d_jax.train.weights import load_weights
 from tests.growing_rooms import MODEL, NEVER, stop_at
 from tests.tiny_run import untrained_weights
 from tests.two_rooms import NUM_PLANES, STATISTICS, moved, on_device, random_params, two_rooms
+from tests.unchecked import unchecked
 
 SCENE = two_rooms()
 SCALES = Scales(1.0, 5.0, 10.0)
@@ -76,6 +77,7 @@ def test_scenes_of_one_bucket__are_compiled_once():
     counts = (8, 7, 6)  # the bucket of 24 nodes, and twice that of 16 below
     for scenes in ([first_planes(count) for count in counts], [first_planes(8)] * 40):
         complete(MODEL, stop_at(6), scenes, candidates=1)
+    complete(MODEL, stop_at(6), scenes[:1], candidates=1, max_steps=7)
     assert grow_lanes._cache_size() == 1
     complete(MODEL, stop_at(6), [first_planes(3), first_planes(8), first_planes(2)])
     assert grow_lanes._cache_size() == 2
@@ -331,6 +333,56 @@ def test_numbers_below_one__are_refused(option):
         complete(MODEL, NEVER, [SCENE], **{option: 0})
     with pytest.raises(ValueError, match=f"{option} is -1, expected at least 1"):
         complete(MODEL, NEVER, [SCENE], **{option: -1})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": 1.5}, r"the seed is 1\.5, a float, expected a whole number, at least 0"),
+        ({"seed": -1}, "the seed is -1, expected at least 0"),
+        (
+            {"seed": jax.random.key(3)},
+            "the seed is Array.*, a PRNGKeyArray, expected a whole number, at least 0",
+        ),
+        ({"samples": 1.5}, r"samples is 1\.5, a float, expected a whole number, at least 1"),
+        ({"lanes": "2"}, "lanes is '2', a str, expected a whole number, at least 1"),
+        ({"max_steps": 0}, "max_steps is 0, expected 1 to 2147483647"),
+        ({"max_steps": 2**31}, "max_steps is 2147483648, expected 1 to 2147483647"),
+        ({"names": ["a"]}, "there are 1 names of 2 scenes, expected as many"),
+        ({"numbers": [5]}, "there are 1 numbers of 2 scenes, expected as many"),
+        ({"numbers": [1, -1]}, "a number of a scene is -1, expected 0 to 4294967295"),
+    ],
+)
+def test_what_is_no_argument__is_refused_before_anything_is_begun(options, message):
+    with unchecked(), pytest.raises(ValueError, match=f"^{message}$"):
+        complete_each(MODEL, NEVER, [SCENE, SCENE], **options)
+
+
+def test_whole_numbers_of_any_library__are_taken():
+    expected = complete(MODEL, stop_at(11), [SCENE], 3, samples=2, max_steps=50)
+    options = {"samples": jnp.int8(2), "max_steps": np.uint64(50), "lanes": np.array(1)}
+    for one, other in zip(
+        complete(MODEL, stop_at(11), [SCENE], jnp.int32(3), **options)[0], expected[0], strict=True
+    ):
+        assert same(one, other)
+
+
+@pytest.mark.parametrize("kind", ["float32", "float16", "bfloat16"])
+def test_parameters_that_are_not_finite__are_refused(kind):
+    params = stop_at(11)._replace(fill={"a": jnp.zeros(2), "b": [jnp.full(3, jnp.nan, kind)]})
+    with pytest.raises(ValueError, match=r"^the parameters fill/b/0 are not all finite, expected"):
+        complete_each(MODEL, params, [SCENE])
+
+
+@pytest.mark.parametrize("model", [MODEL, ORACLE])
+def test_parameters_that_are_none__are_refused(model):
+    with pytest.raises(ValueError, match=r"^the parameters are (None|a NoneType), expected"):
+        complete_each(model, None, [SCENE])
+
+
+def test_parameters_of_another_model__are_refused():
+    with pytest.raises(ValueError, match=r"^the parameters .* have the shape .* of this model$"):
+        complete(CLASSIFIERS[1], sure_params(CLASSIFIERS[0]), [SCENE])
 
 
 def test_weights_that_are_loaded_twice__are_compiled_once(tmp_path):

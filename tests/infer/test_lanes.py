@@ -1,5 +1,6 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import jax
 import numpy as np
@@ -85,7 +86,8 @@ def test_results_depend_neither_on_the_number_of_lanes_nor_on_that_of_threads(mo
     mesh = Mesh(np.array(jax.devices()[:2]), ("lanes",))
     monkeypatch.setattr(lanes, "lane_mesh", lambda: mesh)
     scenes, options = [PARTS[place] for place in larger], {"numbers": larger, "lanes": 2}
-    found = completed(scenes, stop_at(11), samples=2, **options)
+    with jax.set_mesh(jax.make_mesh((2,), ("users",))):  # is for the user's own arrays
+        found = completed(scenes, stop_at(11), samples=2, **options)
     assert_all_same(found, [expected[place] for place in larger])
 
 
@@ -119,12 +121,28 @@ def test_a_scene_is_asked_again_until_it_has_enough():
     assert_all_same(told, [[first], [third, second]])
 
 
-def test_all_threads_use_the_device_of_the_caller():
-    """And what else JAX is told of one thread alone."""
-    with jax.default_device(jax.devices()[1]):
-        run = lanes.as_here(lambda: jax.config.jax_default_device)
+def test_all_threads_are_told_what_the_caller_is():
+    """By the context managers of JAX, such as which device to use."""
+    told = dict.fromkeys(lanes.TOLD, True) | {
+        "default_device": jax.devices()[1],
+        "default_matmul_precision": "highest",
+        "default_prng_impl": "rbg",
+        "numpy_dtype_promotion": "strict",
+        "numpy_rank_promotion": "warn",
+    }
+
+    def heard():
+        return {name: getattr(jax.config, f"jax_{name}") for name in lanes.TOLD}
+
+    before = heard()
+    with ExitStack() as everything:
+        for name, value in told.items():
+            everything.enter_context(getattr(jax, name)(value))
+        expected, run = heard(), lanes.as_here(heard)
+    assert all(expected[name] != before[name] for name in lanes.TOLD)
     with ThreadPoolExecutor() as pool:
-        assert pool.submit(run).result() == jax.devices()[1]
+        assert pool.submit(run).result() == expected
+        assert pool.submit(heard).result() != expected
 
 
 def test_a_program_is_compiled_once_while_others_are_compiled_beside_it(monkeypatch):

@@ -1,6 +1,7 @@
 """A map that changes with what is observed, mostly over rooms that a stand-in draws by ids."""
 
 import copy
+import json
 import pickle
 from typing import Any
 
@@ -24,8 +25,9 @@ from sg3d_jax.scene.graph import (
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 from sg3d_jax.scene.validate import validate_graph
 from tests import own_world
-from tests.growing_rooms import MODEL, stop_at
+from tests.growing_rooms import MODEL, NEVER, stop_at
 from tests.two_rooms import moved, two_rooms
+from tests.unchecked import unchecked
 
 PLANES = observed_of(two_rooms())
 IDS = ("a0", "a1", "a2", "a3", "b0", "b1", "b2", "b3")
@@ -443,6 +445,26 @@ def test_what_is_too_large__is_left_with_a_remark(monkeypatch):
     session, done = go(begin(PAPER_ONTOLOGY), **told(*IDS))
     assert nodes_of(session) == {}
     assert done.remarks == ("update 1: what was drawn did not come to its end, and was left",)
+
+
+def test_ids_of_numpy__leave_as_those_of_python():
+    one = {"observed": subgraph(PLANES, [0]), "ids": np.arange(7, 8)}
+    with unchecked():
+        session, _ = update(MODEL, stop_at(13), begin(PAPER_ONTOLOGY), Changes(**one))
+    assert json.dumps(ids_of(session)) == "[7]"
+    session, _ = update(MODEL, stop_at(13), session, Changes(removed=(np.int64(7),)))
+    assert ids_of(session) == []
+
+
+def test_what_does_not_grow_and_what_are_no_changes__are_refused():
+    session, halt = begin(PAPER_ONTOLOGY, np.int64(3)), MODEL.halt
+    for call in (lambda: update(halt, NEVER, session, THINK), lambda: warm_up(halt, NEVER, 8)):
+        with unchecked(), pytest.raises(ValueError, match=r"^the model is a Counting, expected"):
+            call()
+    with pytest.raises(ValueError, match=r"^the parameters halt are not all finite, expected"):
+        warm_up(MODEL, stop_at(np.nan), 8)
+    with unchecked(), pytest.raises(ValueError, match=r"^update 1: the changes are a dict, "):
+        update(MODEL, stop_at(13), session, {"planes": []})
 
 
 def test_few_planes_and_none__are_no_harm(draws):

@@ -16,6 +16,7 @@ from sg3d_jax.metrics.calibration import (
 from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import parts_first, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF
+from sg3d_jax.scene.padding import Capacity, pad
 from tests.drawn_rooms import with_pairs
 from tests.own_world import own_world
 from tests.two_rooms import NUM_PLANES, reordered, two_rooms
@@ -137,7 +138,8 @@ def test_several_graphs_are_one_list_and_what_is_observed_does_not_count():
     sure = np.linspace(0.05, 0.95, 12)
     nodes = [sure, sure[::-1]]
     edges = [np.full(len(parts_first(graph)), 0.75) for graph in (truth, wrong)]
-    found = calibration([truth, wrong], [truth, truth], nodes, edges)
+    padded = pad(truth, Capacity(16, 192))
+    found = calibration([padded, wrong], [truth, padded], nodes, edges)
     assert found["nodes"].count.sum() == 8
     sure, right = np.concatenate([row[NUM_PLANES:] for row in nodes]), [1, 1, 1, 1, 1, 1, 0, 0]
     npt.assert_allclose(found["nodes"].error, error_of_loop(sure, right, 10), atol=1e-12)

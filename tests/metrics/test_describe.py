@@ -11,6 +11,7 @@ from sg3d_jax.data import registry
 from sg3d_jax.metrics.describe import count_proximity_edges, describe
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.ontology import FLOOR, PLANE, PROXIMITY, ROOM
+from sg3d_jax.scene.padding import Capacity, pad
 from tests import own_world
 
 
@@ -118,3 +119,7 @@ def test_statistics_are_json():
 def test_no_graphs_are_refused():
     with pytest.raises(ValueError, match="no graphs"):
         describe([])
+
+
+def test_padding_does_not_count():
+    assert describe([pad(one_room(), Capacity(16, 192))]) == describe([one_room()])

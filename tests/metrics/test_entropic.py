@@ -142,3 +142,8 @@ def test_rounding__changes_an_infeasible_plan_no_more_than_its_marginals_are_wro
     wrong = sum(np.abs(plan.sum(axis) - mass).sum() for axis in (0, 1))
     assert np.abs(rounded - plan).sum() <= 2 * wrong
     np.testing.assert_allclose(round_compiled(rounded, mass), rounded, atol=1e-7)
+
+
+def test_a_weight_of_zero_is_refused():
+    with pytest.raises(ValueError, match="alpha is 0, expected a number above 0"):
+        entropic_fgw(on_device(GENERATED[0]), on_device(TRUTH[0]), 0.0)

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax.sharding import AxisType
+from jax.sharding import PartitionSpec as P
 
 from sg3d_jax.data import registry
+from sg3d_jax.metrics.entropic import entropic_fgw
 from sg3d_jax.metrics.fgw import (
     FGW,
     PAIRS_PER_CALL,
@@ -17,7 +20,8 @@ from sg3d_jax.metrics.fgw import (
     matched_labels,
     solvers,
 )
-from sg3d_jax.metrics.fgw_problem import Scale, centred, pose
+from sg3d_jax.metrics.fgw_loss import fgw_loss
+from sg3d_jax.metrics.fgw_problem import Scale, centred, one_hot, pose
 from sg3d_jax.metrics.frank_wolfe import from_assignment, minimise
 from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.scene.ontology import PLANE, ROOM
@@ -37,6 +41,7 @@ from tests.metrics.fgw_reference import (
     reference_costs,
     reference_fgw,
 )
+from tests.unchecked import unchecked
 
 LOOSE = Capacity(32, 384)
 
@@ -370,6 +375,103 @@ def test_matched__counts_the_real_nodes_that_the_plan_puts_on_each_other(pairs):
 def test_lists_that_do_not_pair_up_are_refused(pairs):
     with pytest.raises(ValueError, match="11 generated graphs cannot be paired with 10"):
         fgw_pairs(pairs[0], pairs[1][:-1])
+
+
+def test_fgw_pairs__takes_padded_graphs_and_generators(pairs):
+    expected = fgw_pairs(*pairs)
+    padded = [[pad(graph, LOOSE) for graph in side] for side in pairs]
+    np.testing.assert_array_equal(fgw_pairs(*padded).value, expected.value)
+    device = ((on_device(graph) for graph in side) for side in pairs)
+    found = fgw_pairs(*device)
+    for name in ("value", "matched"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5)
+
+
+def test_one_graph_in_place_of_a_list_is_refused(pairs):
+    with unchecked(), pytest.raises(ValueError, match="got one scene graph, expected a list"):
+        fgw_pairs(pairs[0][0], pairs[1][0])
+
+
+DISTANCES = {
+    "fgw": fgw,
+    "entropic_fgw": entropic_fgw,
+    "fgw_loss": lambda a, *rest, **more: fgw_loss(a.nodes.position, one_hot(a), a, *rest, **more),
+}
+
+
+@pytest.mark.parametrize("distance", DISTANCES.values(), ids=DISTANCES.keys())
+def test_graphs_that_are_not_padded_alike_are_refused(pairs, distance):
+    large, small = pairs[1][3], pairs[1][0]
+    stacked = stack([small, small], CAPACITY)
+    stacked_on_host = jax.tree.map(np.asarray, stacked)
+    for pair, sentence in (
+        ((large, small), "the graphs have 24 and 6 slots, expected one capacity"),
+        ((small, large), "the graphs have 6 and 24 slots, expected one capacity"),
+        ((ONE_PLANE, large), "the graphs have 1 and 24 slots, expected one capacity"),
+        ((EMPTY, EMPTY), "the graphs have 0 and 0 slots, expected one capacity, above 0"),
+        ((stacked, stacked), r"\(2, 24\) and \(2, 24\), expected one graph each"),
+        ((stacked_on_host, pad(small, CAPACITY)), r"\(2, 24\) and \(24,\), expected one graph"),
+    ):
+        with unchecked(), pytest.raises(ValueError, match=sentence):
+            distance(*pair)
+
+
+@pytest.mark.parametrize("name", ["fgw_pairs", *DISTANCES])
+def test_a_weight_or_a_loss_that_there_is_not_is_refused(pairs, name):
+    if name == "fgw_pairs":
+        distance, pair = fgw_pairs, pairs
+    else:
+        distance, pair = DISTANCES[name], [on_device(side[0]) for side in pairs]
+    for alpha in (2.0, -0.1, np.float32(1.5), np.nan):
+        with unchecked(), pytest.raises(ValueError, match=f"alpha is {alpha}, expected a number"):
+            distance(*pair, alpha)
+    with unchecked(), pytest.raises(ValueError, match="'foo', expected one of absolute, squared"):
+        distance(*pair, loss="foo")
+
+
+def test_a_traced_weight_is_not_looked_at(pairs):
+    pair = [on_device(side[0]) for side in pairs]
+    jax.eval_shape(lambda alpha: fgw(*pair, alpha), jnp.float32(2.0))
+
+
+@pytest.mark.parametrize("kind", [AxisType.Explicit, AxisType.Auto])
+def test_fgw_pairs__do_not_depend_on_the_mesh_that_the_caller_has_set(pairs, kind):
+    expected, compiled = fgw_pairs(*pairs).value, _fgw_stacked._cache_size()
+    for size in (1, 2):
+        with jax.set_mesh(jax.make_mesh((size,), ("batch",), (kind,))):
+            np.testing.assert_array_equal(fgw_pairs(*pairs).value, expected)
+            assert jax.sharding.get_mesh().axis_names == ("batch",)
+    assert _fgw_stacked._cache_size() == compiled
+
+
+@pytest.mark.parametrize("distance", [fgw, DISTANCES["fgw_loss"]], ids=["fgw", "fgw_loss"])
+def test_fgw_and_its_gradient__can_be_sharded(pairs, distance):
+    """What `shard_map` checks by default, it checks as it traces."""
+
+    def value(position, generated, truth):
+        return jax.tree.leaves(distance(placed(generated, position), truth))[0]
+
+    def of_all(generated, truth):
+        return jax.vmap(jax.value_and_grad(value))(generated.nodes.position, generated, truth)
+
+    def one_by_one(generated, truth):
+        return jax.lax.map(lambda pair: value(pair[0].nodes.position, *pair), (generated, truth))
+
+    sides = [stack(side[:2], CAPACITY) for side in pairs]
+    mesh = jax.make_mesh((2,), ("pairs",), (AxisType.Auto,))
+    for run in (of_all, one_by_one):
+        sharded = jax.shard_map(run, mesh=mesh, in_specs=P("pairs"), out_specs=P("pairs"))
+        shapes = [jax.tree.map(jnp.shape, jax.eval_shape(f, *sides)) for f in (sharded, run)]
+        assert shapes[0] == shapes[1]
+
+
+@pytest.mark.parametrize("distance", DISTANCES.values(), ids=DISTANCES.keys())
+def test_fgw__promotes_no_types(pairs, distance):
+    pair = [on_device(side[0]) for side in pairs]
+    plan = jnp.zeros((CAPACITY.nodes, CAPACITY.nodes))
+    with jax.numpy_dtype_promotion("strict"):
+        jax.eval_shape(distance, *pair)
+        jax.eval_shape(matched_labels, plan, *pair)
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf, 1e30])

@@ -13,6 +13,7 @@ from sg3d_jax.metrics.mmd import embedding_mmd, histogram_mmd, mmd_scores
 from sg3d_jax.scene.graph import SceneGraph, make_graph, undirected_edges
 from sg3d_jax.scene.ontology import PART_OF, PLANE, ROOM
 from sg3d_jax.scene.padding import Capacity, pad
+from tests.unchecked import unchecked
 
 NAMES: Final = {"degree", "clustering", "spectrum", "gin"}
 
@@ -173,3 +174,16 @@ def test_scores_of_arrays__work_in_float32_and_have_finite_gradients():
         assert value.dtype == np.float32
         assert 0 < value <= 2
         assert np.isfinite(gradient).all()
+
+
+def test_scores__do_not_depend_on_the_promotion_of_types():
+    graphs = (graph for graph in random_scenes(3, 0.3, seed=0))
+    with jax.numpy_dtype_promotion("strict"):
+        scores = mmd_scores(graphs, random_scenes(3, 0.3, seed=0))
+    assert scores == pytest.approx(dict.fromkeys(NAMES, 0.0), abs=1e-9)
+
+
+def test_one_graph_in_place_of_a_list_is_refused():
+    graph = scene(nx.path_graph(3))
+    with unchecked(), pytest.raises(ValueError, match="got one scene graph, expected a list"):
+        mmd_scores(graph, [graph])

@@ -12,6 +12,7 @@ from sg3d_jax.data import registry
 from sg3d_jax.metrics.oddities import Odd, Oddity, Remark, check, oddities
 from sg3d_jax.scene.graph import features_of, make_graph
 from sg3d_jax.scene.ontology import BUILDING, FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
+from sg3d_jax.scene.padding import Capacity, pad
 from tests import own_world
 from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS, two_rooms
 
@@ -169,3 +170,7 @@ def test_a_graph_in_millimetres_is_odd():
     (remark,) = check([graph, graph._replace(nodes=nodes)])
     assert remark.what == "node of a graph too large to be in metres"
     assert (remark.nodes, remark.graphs, remark.first) == (len(nodes.label), 1, 1)
+
+
+def test_padding_is_nothing_unusual():
+    assert check([pad(two_rooms(), Capacity(16, 192))]) == check([two_rooms()])

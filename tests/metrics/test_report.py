@@ -9,8 +9,10 @@ from sg3d_jax.metrics.paper import SCORES
 from sg3d_jax.metrics.report import score, summary
 from sg3d_jax.scene.graph import make_graph, subgraph
 from sg3d_jax.scene.ontology import FLOOR, PLANE, ROOM, WALL
+from sg3d_jax.scene.padding import Capacity, pad
 from tests import own_world
 from tests.two_rooms import LABELS, NUM_PLANES, PART_OF_PAIRS, two_rooms
+from tests.unchecked import unchecked
 
 
 def room_of_three_planes(floor: bool):
@@ -162,3 +164,27 @@ def test_summary__has_mean_and_deviation_of_every_number():
     assert summed["precision, wall"]["mean"] == pytest.approx((1 + 2 / 3) / 2)
     assert "halted" not in summed
     assert summary(runs[:1])["fgw"] == {"mean": runs[0]["fgw"], "sd": None}
+
+
+def test_padding_does_not_count_and_a_list_may_be_a_generator():
+    truth = [room_of_three_planes(floor=True)] * 2
+    generated = [room_of_three_planes(floor=False), *truth[1:]]
+    padded = [[pad(graph, Capacity(16, 192)) for graph in graphs] for graphs in (generated, truth)]
+    assert score(*padded) == score((graph for graph in generated), truth)
+
+
+def test_one_graph_or_a_weight_that_there_is_not_is_refused():
+    with unchecked(), pytest.raises(ValueError, match="got one scene graph, expected a list"):
+        score(two_rooms(), two_rooms())
+    with unchecked(), pytest.raises(ValueError, match="alpha is 2, expected a number from 0 to 1"):
+        score([two_rooms()], [two_rooms()], alpha=2)
+
+
+def test_a_set_without_nodes_has_no_mmd_but_all_other_scores():
+    nothing, truth = make_graph([], np.zeros((0, 3))), room_of_three_planes(floor=True)
+    report = score([nothing], [truth])
+    assert json.loads(json.dumps(report)) == report
+    assert {report[name] for name in ("degree", "spectrum", "clustering", "gin")} == {None}
+    assert report["fgw"] == pytest.approx(fgw_pairs([nothing], [truth]).value[0])
+    assert report["exact_structure"] == 0
+    assert "gin" not in summary([report, score([truth], [truth])])

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from sg3d_jax.metrics.structure import exact_structure, failures, node_count_error
 from sg3d_jax.scene.graph import SceneGraph, make_graph, subgraph, undirected_edges
 from sg3d_jax.scene.ontology import BUILDING, FLOOR, PART_OF, PLANE, ROOM, WALL
+from sg3d_jax.scene.padding import Capacity, pad
 from tests import own_world
 
 # Two rooms of three planes each, a wall between planes 2 and 3, one floor.
@@ -232,3 +233,11 @@ def test_exact_structure__is_isomorphism_with_planes_fixed(data):
     assert (not failures(generated, truth)) == expected
     if not changes:
         assert expected
+
+
+def test_padding_does_not_count():
+    generated, truth = graph_of([*LABEL, WALL], EDGES), pad(TRUTH, Capacity(16, 192))
+    assert exact_structure(truth, TRUTH)
+    assert not failures(TRUTH, truth)
+    expected = {"wall without planes": 1}
+    assert failures(pad(generated, Capacity(24, 288)), truth) == expected

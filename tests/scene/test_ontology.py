@@ -22,6 +22,7 @@ from sg3d_jax.scene.ontology import (
     ontology_from_dict,
 )
 from tests import own_world
+from tests.unchecked import unchecked
 
 BOTH = pytest.mark.parametrize("ontology", [PAPER_ONTOLOGY, own_world.ONTOLOGY, FURNISHED_ONTOLOGY])
 
@@ -74,6 +75,16 @@ def test_features_and_kinds_are_those_that_some_concept_has():
     assert PAPER_ONTOLOGY.features == ("normal", "width")
     assert with_kinds("hall", "flat").features == ("normal", "width", "kind")
     assert with_kinds("hall", "flat").num_kinds.tolist() == [0, 0, 2, 0, 0, 0]
+
+
+def test_lists_make_the_same_ontology_as_tuples():
+    with unchecked():
+        lists = [{"features": [*each.features], "kinds": []} for each in PAPER_ONTOLOGY.concepts]
+        each_concept = zip(PAPER_ONTOLOGY.concepts, lists, strict=True)
+        concepts = [dataclasses.replace(concept, **fields) for concept, fields in each_concept]
+        made = Ontology(concepts, [*PAPER_ONTOLOGY.rules])
+    assert made == PAPER_ONTOLOGY
+    assert hash(made) == hash(PAPER_ONTOLOGY)
 
 
 @BOTH
