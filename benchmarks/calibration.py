@@ -15,14 +15,13 @@ printed instead: by those, for consensus graphs and for single ones, with 2, 4 a
 import argparse
 import itertools
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.cli.provenance import provenance
+from sg3d_jax.cli.provenance import provenance_of_script
 from sg3d_jax.infer import confidence
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.infer.consensus import consensus
@@ -177,8 +176,7 @@ def main() -> None:
             trained, name, arguments.scenes, arguments.candidates, arguments.seed
         )
         print(label, {key: round(of.error, 3) for key, of in rows[label].items()}, flush=True)
-    given = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
-    about = {**provenance(), "command": " ".join(["python benchmarks/calibration.py", *given])}
+    about = provenance_of_script()
     content = {**about, "rows": {label: row_of(found) for label, found in rows.items()}}
     (RESULTS / "calibration.json").write_text(json.dumps(content, indent=2) + "\n")
     draw(rows, RESULTS / "calibration.png")

@@ -14,14 +14,13 @@ large: how many are right, and of how many. Writes benchmarks/results/furnished_
 
 import argparse
 import json
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from sg3d_jax.cli.provenance import provenance
+from sg3d_jax.cli.provenance import provenance_of_script
 from sg3d_jax.data.floorplan import read_floors
 from sg3d_jax.data.furnished import UNIT_KINDS
 from sg3d_jax.data.levels import floor_scenes
@@ -135,8 +134,7 @@ def main() -> None:
     if arguments.plans:
         floors = real_floors(arguments.plans)
         name, views = "plans", [*floors]
-    given = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
-    about = provenance() | {"command": " ".join(["python benchmarks/furnished.py", *given])}
+    about = provenance_of_script()
     rows = {}
     for view in views:
         truth = floors.get(view) or load_split(DataConfig(f"{name}@{view}"), "test")

@@ -9,14 +9,13 @@ benchmarks/results/repeated.json.
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from robot import RESULTS, completed
 
-from sg3d_jax.cli.provenance import provenance
+from sg3d_jax.cli.provenance import provenance_of_script
 from sg3d_jax.metrics.calibration import identities
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import exact_structure
@@ -26,9 +25,19 @@ from sg3d_jax.train.dataset import load_split
 from sg3d_jax.train.weights import load_weights
 
 
+def repeats_another(graph: SceneGraph) -> np.ndarray:
+    """Returns bool[n], the nodes of the same concept and over the same planes as one before."""
+    return np.array([number > 0 for *_, number in identities(graph)])
+
+
+def num_repeats(graphs: Sequence[SceneGraph]) -> int:
+    """Returns how many nodes of graphs repeat another."""
+    return sum(int(repeats_another(graph).sum()) for graph in graphs)
+
+
 def once(graph: SceneGraph) -> SceneGraph:
-    """Returns a graph without the nodes that repeat another: same concept, over the same planes."""
-    return subgraph(graph, np.array([number == 0 for *_, number in identities(graph)]))
+    """Returns a graph without the nodes that repeat another."""
+    return subgraph(graph, ~repeats_another(graph))
 
 
 def scores(made: Sequence[SceneGraph], truth: Sequence[SceneGraph]) -> dict[str, float]:
@@ -49,16 +58,11 @@ def main() -> None:
         truth = load_split(DataConfig(data), "test")[: int(number)]
         made = completed(trained, truth)
         both = [[once(graph) for graph in graphs] for graphs in (made, truth)]
-        repeats = {
-            name: sum(len(graph.nodes.label) for graph in graphs)
-            - sum(len(graph.nodes.label) for graph in fewer)
-            for name, graphs, fewer in zip(("made", "true"), (made, truth), both, strict=True)
-        }
+        repeats = {"made": num_repeats(made), "true": num_repeats(truth)}
         row: dict[str, Any] = {"scenes": len(truth), "repeats": repeats}
         rows[data] = row | {"as they are": scores(made, truth), "once": scores(*both)}
         print(data, rows[data], flush=True)
-    given = [argument.rsplit("/", 1)[-1] for argument in sys.argv[1:]]  # no folders of this machine
-    about = {**provenance(), "command": " ".join(["python benchmarks/repeated.py", *given])}
+    about = provenance_of_script()
     (RESULTS / "repeated.json").write_text(json.dumps({**about, "rows": rows}, indent=2) + "\n")
 
 

@@ -20,7 +20,6 @@ replay of the first data set as replay_HOW_film.png.
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -30,7 +29,7 @@ from typing import Any, Final, NamedTuple
 import jax
 import numpy as np
 
-from sg3d_jax.cli.provenance import provenance
+from sg3d_jax.cli.provenance import provenance_of_script
 from sg3d_jax.data.replay import REPLAYS, Step, replay
 from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.complete import complete
@@ -322,8 +321,7 @@ def main() -> None:
             graphs = load_split(DataConfig(data), "test")
             rows[name]["large_map"] = among_others(trained, graphs, given.planes)
         print(name, rows[name], flush=True)
-    words = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
-    about = {**provenance(), "command": " ".join(["python benchmarks/replay.py", *words])}
+    about = provenance_of_script()
     path = RESULTS / (given.output or f"replay_{given.how}.json")
     path.write_text(json.dumps({**about, "weights": given.weights, "rows": rows}, indent=2) + "\n")
     draw_curves(rows, path.with_suffix(".png"))

@@ -15,14 +15,13 @@ benchmarks/results/robot_NAME.json, NAME being that of the data, "walls" or "rec
 import argparse
 import gzip
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sg3d_jax.cli.provenance import provenance
+from sg3d_jax.cli.provenance import provenance_of_script
 from sg3d_jax.data.robot import VIEWS
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.io.planes import planes
@@ -166,8 +165,7 @@ def main() -> None:
         print(name, {key: value for key, value in rows[name].items() if key not in EFFECTS})
     label = Path(arguments.data).stem if arguments.data else "walls"
     label = "recordings" if arguments.recordings else label
-    given = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
-    about = {**provenance(), "command": " ".join(["python benchmarks/robot.py", *given])}
+    about = provenance_of_script()
     path = RESULTS / f"robot_{label}.json"
     path.write_text(json.dumps({**about, "rows": rows}, indent=2) + "\n")
 

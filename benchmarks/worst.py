@@ -9,13 +9,12 @@ draws each from above into a folder, the truth dashed. Writes benchmarks/results
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 from robot import RESULTS, completed, plane_sets
 
-from sg3d_jax.cli.provenance import provenance
+from sg3d_jax.cli.provenance import provenance_of_script
 from sg3d_jax.metrics.fgw import fgw_pairs
 from sg3d_jax.metrics.structure import failures
 from sg3d_jax.scene.graph import SceneGraph
@@ -61,8 +60,7 @@ def main() -> None:
         if arguments.plans is not None:
             arguments.plans.mkdir(exist_ok=True)
             save_plan(made, arguments.plans / f"{data}_{index}.png", truth=truth)
-    given = [Path(text).name for text in sys.argv[1:]]  # no folders of this machine
-    about = {**provenance(), "command": " ".join(["python benchmarks/worst.py", *given])}
+    about = provenance_of_script()
     text = json.dumps({**about, "scenes": len(found), "rows": rows}, indent=2)
     (RESULTS / "worst.json").write_text(f"{text}\n")
 

@@ -3,6 +3,7 @@
 import os
 import platform
 import shlex
+import sys
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +26,12 @@ def provenance() -> dict[str, Any]:
             "device": jax.devices()[0].device_kind,
         },
     }
+
+
+def provenance_of_script() -> dict[str, Any]:
+    """Returns the same for a script of benchmarks/, its command without folders of this machine."""
+    script, *given = (Path(word).name for word in sys.argv)
+    return {**provenance(), "command": " ".join([f"python benchmarks/{script}", *given])}
 
 
 def _processor() -> str:

@@ -57,14 +57,22 @@ def give_back_memory() -> None:
 
 
 class Compiled:
-    """What grows, under `jax.jit` with `quick_options`, which are known once JAX has a device.
+    """What grows, under `jax.jit` and in `own_types`.
+
+    Its `quick_options` are known once JAX has a device.
 
     Whatever a jitted function has, such as `lower`, it has too. It is no part of another one.
     """
 
     def __init__(self, function: Callable[..., Any], static_argnames: Sequence[str] = ()) -> None:
         """Wraps a function; nothing is run."""
-        functools.update_wrapper(self, function)
+
+        @functools.wraps(function)
+        def traced(*args: Any, **kwargs: Any) -> Any:
+            with own_types():
+                return function(*args, **kwargs)
+
+        functools.update_wrapper(self, traced)
         self._static_argnames = static_argnames
 
     @functools.cached_property

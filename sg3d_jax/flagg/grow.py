@@ -175,8 +175,7 @@ def grow_lanes(
         same, dealt = PartitionSpec(), PartitionSpec(mesh.axis_names)
         specs = same, same, dealt, dealt, dealt
         grown = jax.shard_map(grown, mesh=mesh, in_specs=specs, out_specs=dealt, check_vma=False)
-    with own_types():
-        return grown(params, jnp.asarray(max_steps, jnp.int32), keys, given, steps)
+    return grown(params, jnp.asarray(max_steps, jnp.int32), keys, given, steps)
 
 
 def _lanes_grown(

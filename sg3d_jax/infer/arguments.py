@@ -50,6 +50,18 @@ def check_params(model: Any, params: Any) -> None:
         check_grows(model, params)
     elif params is None:
         raise ValueError("the parameters are None, expected those of the model")
+    check_finite(params)
+
+
+def check_finite(params: Any) -> None:
+    """Refuses parameters that are not finite.
+
+    Args:
+      params: of any floating type.
+
+    Raises:
+      ValueError: one sentence that names the first that is not.
+    """
     finite = [np.isfinite(leaf).all() for leaf in jax.device_get(jax.tree.leaves(params))]
     if not all(finite):
         name = _name(jax.tree.leaves_with_path(params)[finite.index(False)][0])

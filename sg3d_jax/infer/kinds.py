@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sg3d_jax.fill.protocol import Params
-from sg3d_jax.flagg.compiled import Compiled, in_32_bits, own_types
+from sg3d_jax.flagg.compiled import Compiled, in_32_bits
 from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.lanes import Model, growth_capacity
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
@@ -56,9 +56,8 @@ def with_kinds(graph: SceneGraph, chances: np.ndarray) -> SceneGraph:
 def _chances(model: Flagg, params: Params, graph: PackedGraph) -> Float[Array, "N K"]:
     """Returns the probabilities of the kinds of each node; zero where a concept has none."""
     assert model.kinds is not None
-    with own_types():
-        graph = connect_observed(in_32_bits(graph))
-        has_any = jnp.asarray(model.ontology.num_kinds)[graph.nodes.label] > 0
-        logits = model.kinds.logits(params.kinds, graph)
-        chances = jax.nn.softmax(jnp.where(has_any[:, None], logits, 0.0))
-        return jnp.where((has_any & graph.nodes.mask)[:, None], chances, 0.0)
+    graph = connect_observed(in_32_bits(graph))
+    has_any = jnp.asarray(model.ontology.num_kinds)[graph.nodes.label] > 0
+    logits = model.kinds.logits(params.kinds, graph)
+    chances = jax.nn.softmax(jnp.where(has_any[:, None], logits, 0.0))
+    return jnp.where((has_any & graph.nodes.mask)[:, None], chances, 0.0)

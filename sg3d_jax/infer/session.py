@@ -29,7 +29,7 @@ import numpy as np
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.grow import HALTED, Grown, grow_lanes
 from sg3d_jax.flagg.step import Flagg, check_grows
-from sg3d_jax.infer.arguments import check_params, whole_number
+from sg3d_jax.infer.arguments import check_finite, whole_number
 from sg3d_jax.infer.confidence import likely
 from sg3d_jax.infer.continuity import Seen, carried
 from sg3d_jax.infer.intake import taken_in
@@ -169,7 +169,7 @@ def warm_up(model: Flagg, params: Params, num_observed: int) -> None:
         parameters are not finite.
     """
     check_grows(model, params)
-    check_params(model, params)
+    check_finite(params)
     largest = bucket(_size(int(IN_ALL * num_observed), num_observed))
     capacities = [bucket(size) for size in NODE_CAPACITIES if LEAST <= size <= largest.nodes]
     observed = np.flatnonzero(model.ontology.is_observed)[[0, 0]]
