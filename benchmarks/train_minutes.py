@@ -4,7 +4,8 @@ The learning rate follows the clock, not a number of steps: a machine that is le
 is used to the last of them, however fast it is. Graphs are made in as many processes, and buckets
 compiled in as many threads, as there are cores; with --fresh-every they are drawn anew meanwhile.
 Of several devices each takes a batch of every step, and the rate grows by the square root of their
-number (docs/scaling.md).
+number (docs/scaling.md). Every minute what has been learnt is written, in case the machine is taken
+back. Who goes on from weights of the same concepts keeps what those know of their training set.
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """
@@ -13,6 +14,7 @@ import argparse
 import dataclasses
 import json
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -21,18 +23,24 @@ import numpy as np
 import optax
 
 from sg3d_jax.infer.lanes import root_key
-from sg3d_jax.train.dataset import slots_of
-from sg3d_jax.train.loop import bucket_of_call, compile_calls, prepare, start_from_weights
+from sg3d_jax.scene.graph import PackedGraph
+from sg3d_jax.train.card import card_of
+from sg3d_jax.train.config import Config
+from sg3d_jax.train.dataset import slots_of, stack_by_size
+from sg3d_jax.train.loop import SPARE_EDGES, bucket_of_call, compile_calls, start_from_weights
+from sg3d_jax.train.methods import Measured, build_model, measure
 from sg3d_jax.train.presets import find_config
 from sg3d_jax.train.processes import on_all_devices
 from sg3d_jax.train.rounds import made_side_by_side, rounds, workers
 from sg3d_jax.train.statistics import shares_of
 from sg3d_jax.train.step import init_state, make_optimiser, make_train_call, mesh_of
-from sg3d_jax.train.weights import save_weights
+from sg3d_jax.train.weights import load_weights, save_weights
 
 MOMENTS = 1000  # of the time, as the schedule of the learning rate counts it,
 WARMUP = 20  # and those in which it rises
-STEPS_A_CALL = 50
+STEPS_A_CALL = 20
+REPORT = 40  # calls
+MINUTE = 60.0  # between two times that weights are written
 ENDLESS = STEPS_A_CALL * 10**7  # steps; the clock ends a run
 
 
@@ -48,6 +56,9 @@ def main() -> None:
     parser.add_argument("--views", type=int, help="of each graph of a set that a robot sees")
     parser.add_argument("--num-graphs", type=int, help="of each set")
     parser.add_argument("--fresh-every", type=int, help="steps after which data are drawn anew")
+    parser.add_argument("--draw", type=int, default=0, help="of the data; 0 as configured")
+    parser.add_argument("--rate", type=float, help="the highest learning rate")
+    parser.add_argument("--capacities", type=int, nargs="+", help="of the buckets, nodes")
     parser.add_argument("--initial", help="weights to start from")
     parser.add_argument("--data", help="other data sets than those configured")
     arguments = parser.parse_args()
@@ -60,7 +71,8 @@ def main() -> None:
     given.setdefault("accumulate", len(jax.devices()))
     names = "batch", "batch_nodes", "accumulate", "initial", "fresh_every"
     fields = {name: given[name] for name in names if name in given}
-    data = dataclasses.replace(config.data, **data)
+    fields |= {"capacities": tuple(given["capacities"])} if "capacities" in given else {}
+    data = dataclasses.replace(config.data, **data).anew(arguments.draw)
     endless = {"steps": ENDLESS, "steps_per_call": STEPS_A_CALL}
     config = dataclasses.replace(config, data=data, **fields, **endless)
     said(f"{jax.devices()}")
@@ -68,21 +80,36 @@ def main() -> None:
         graphs = made_side_by_side(make, config.data, config.method)
     fitting = [graph for graph in graphs if slots_of(graph) <= config.capacities[-1]]
     said(f"{len(graphs)} graphs, {len(graphs) - len(fitting)} of them too large and left out")
-    run = prepare(config, fitting)
-    shares = shares_of(run.stacks)
-    said(f"stacks of {[s.nodes.mask.shape for s in run.stacks]}, shares {shares.round(3).tolist()}")
+    first_stacks = stack_by_size(fitting, config.capacities, SPARE_EDGES)
+    statistics = statistics_for(config, first_stacks)
+    model = build_model(config.model, config.flagg, statistics, config.ontology)
+    shares = shares_of(first_stacks)
+    sizes = [stack.nodes.mask.shape for stack in first_stacks]
+    said(f"stacks of {sizes}, shares {shares.round(3).tolist()}")
     optimiser = optax.inject_hyperparams(lambda rate: make_optimiser(config, rate))(rate=0.0)
-    peak = config.optimiser.learning_rate * config.accumulate**0.5
+    peak = given.get("rate", config.optimiser.learning_rate) * config.accumulate**0.5
     schedule = optax.warmup_cosine_decay_schedule(0.0, peak, WARMUP, MOMENTS)
-    one = jax.tree.map(lambda leaf: leaf[0], run.stacks[0])
-    state = start_from_weights(config, init_state(config, run.model, one, optimiser))
+    one = jax.tree.map(lambda leaf: leaf[0], first_stacks[0])
+    state = start_from_weights(config, init_state(config, model, one, optimiser))
     mesh, state = mesh_of(config), jax.tree.map(jax.numpy.copy, state)
-    state, key, stacks = on_all_devices((state, root_key(config.seed + 1), run.stacks), mesh)
-    calls = compile_calls(make_train_call(config, run.model, optimiser), state, key, stacks)
+    state, key, stacks = on_all_devices((state, root_key(config.seed + 1), first_stacks), mesh)
+    calls = compile_calls(make_train_call(config, model, optimiser), state, key, stacks)
     said("compiled")
     first, log, until = time.monotonic(), [], 0
+    written, card = first, card_of(fitting)
+
+    def write() -> None:
+        so_far = dataclasses.replace(config, steps=int(state.step))
+        taken = (time.monotonic() - began) / 60
+        history = f"{so_far.steps} steps in {taken:.1f} minutes on {jax.devices()[0].device_kind}"
+        its_card = dataclasses.replace(card, history=history)
+        save_weights(arguments.output, so_far, statistics, state.average, its_card)
+        lines = "\n".join(map(json.dumps, log)) + "\n"
+        arguments.output.with_suffix(".log.jsonl").write_text(lines)
+        said(f"{arguments.output}: {so_far.steps} steps")
+
     seconds = max(60 * arguments.minutes - (first - began), 1e-3)
-    with closing(rounds(config, run.stacks, 0)) as coming:
+    with closing(rounds(config, first_stacks, 0)) as coming:
         while (progress := (time.monotonic() - first) / seconds) < 1:
             if len(log) * STEPS_A_CALL >= until:
                 graphs, until = next(coming)
@@ -97,18 +124,25 @@ def main() -> None:
             per_step = (time.monotonic() - start) / STEPS_A_CALL
             about = {"bucket": bucket, "seconds_per_step": per_step, "rate": rate}
             log.append(about | metrics)
-            if len(log) % 20 == 0:
-                recent = {name: np.mean([entry[name] for entry in log[-20:]]) for name in metrics}
+            if len(log) % REPORT == 0:
+                recent = {
+                    name: np.mean([entry[name] for entry in log[-REPORT:]]) for name in metrics
+                }
                 shown = "  ".join(f"{name} {value:.4f}" for name, value in recent.items())
                 said(f"step {int(state.step)}  {per_step * 1e3:.1f} ms  {shown}")
-    config = dataclasses.replace(config, steps=int(state.step))
-    history = (
-        f"{config.steps} steps in {arguments.minutes:g} minutes on {jax.devices()[0].device_kind}"
-    )
-    card = dataclasses.replace(run.card, history=history)
-    save_weights(arguments.output, config, run.statistics, state.average, card)
-    arguments.output.with_suffix(".log.jsonl").write_text("\n".join(map(json.dumps, log)) + "\n")
-    said(f"{arguments.output}: {config.steps} steps")
+            if time.monotonic() - written > MINUTE:
+                write()
+                written = time.monotonic()
+    write()
+
+
+def statistics_for(config: Config, stacks: Sequence[PackedGraph]) -> Measured:
+    """Returns what a model knows of its training set: this one, or that of the initial weights."""
+    if config.initial is not None:
+        initial = load_weights(config.initial)
+        if initial.config.ontology == config.ontology:
+            return initial.statistics
+    return measure(config.model, config.flagg, stacks)
 
 
 if __name__ == "__main__":

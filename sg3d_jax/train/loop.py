@@ -292,10 +292,10 @@ def compile_calls(
     train_call: Any, state: TrainState, key: Key[Array, ""], stacks: Sequence[PackedGraph]
 ) -> list[TrainCall]:
     """Compiles the training call of every bucket, side by side on as many cores as there are."""
-    lowered = [train_call.lower(state, key, graphs) for graphs in stacks]
     pool = ThreadPoolExecutor()
     try:
-        return list(pool.map(lambda one: one.compile(), lowered))
+        coming = [pool.submit(train_call.lower(state, key, one).compile) for one in stacks]
+        return [one.result() for one in coming]
     finally:
         pool.shutdown(wait=False, cancel_futures=True)  # Ctrl-C waits for no compiler
 
