@@ -5,14 +5,13 @@ It is what `consensus` begins from, which adds what most others have and this on
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Final
+
+import numpy as np
 
 from sg3d_jax.metrics.calibration import identities
-from sg3d_jax.metrics.oddities import Oddity, oddities
+from sg3d_jax.metrics.oddities import num_wholes
 from sg3d_jax.metrics.structure import num_forbidden_edges
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
-
-ONE_WHOLE: Final = (Oddity.WITHOUT_WHOLE, Oddity.SEVERAL_WHOLES)
 
 
 def most_agreeing(candidates: Sequence[SceneGraph], num_given: int) -> int:
@@ -57,9 +56,9 @@ def num_flaws(graph: SceneGraph) -> int:
     Edges that it forbids, and grown nodes of none or several wholes where one is due. What is
     observed may belong to nothing (clutter), and what was cut to several (its pieces).
     """
-    observed = {one.name for one in ontology_of(graph).concepts if one.observed}
-    return num_forbidden_edges(graph) + sum(
-        count
-        for odd, count in oddities(graph).items()
-        if odd.kind in ONE_WHOLE and odd.concept not in observed
-    )
+    ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
+    flaws = num_forbidden_edges(graph)
+    for part, whole in ontology.single_wholes:
+        if whole <= label.max(initial=-1) and not ontology.is_observed[part]:
+            flaws += int(np.sum(num_wholes(graph, part, whole)[label == part] != 1))
+    return flaws

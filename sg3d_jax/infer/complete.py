@@ -10,7 +10,7 @@ from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, HALT_REASONS
 from sg3d_jax.flagg.step import Flagg
 from sg3d_jax.infer.arguments import check_params, whole_number
 from sg3d_jax.infer.candidates import are_settled
-from sg3d_jax.infer.confidence import Confidence, judged, sure_of
+from sg3d_jax.infer.confidence import Confidence, judged
 from sg3d_jax.infer.consensus import consensus
 from sg3d_jax.infer.division import divided_alike
 from sg3d_jax.infer.kinds import chances_of_kinds, with_kinds
@@ -267,24 +267,19 @@ def _completions(
         graph = whole_again(scene, graph)
         graph = graph if chances[-1] is None else with_kinds(graph, chances[-1])
         kept.append(voters[index]._replace(graph=graph))
-    graphs = [one.graph for one in kept]
-    judgements = judged(graphs, drawn, scene.num_given)
-    # One draw alone tells nothing of its nodes and edges.
-    several = len(drawn) > 1
-    sure = sure_of(graphs, drawn, scene.num_given) if several else [(None, None)] * len(graphs)
+    judgements = judged([one.graph for one in kept], drawn, scene.num_given)
     return [
         Completion(
             one.graph,
             HALT_REASONS[one.halt_reason],
             one.steps,
             scene.source,
-            confidence,
-            (*scene.remarks, *doubts),
+            judgement.confidence,
+            (*scene.remarks, *judgement.remarks),
             scene.num_pieces,
-            *of_parts,
+            judgement.nodes,
+            judgement.edges,
             kinds=of_kinds,
         )
-        for one, (confidence, doubts), of_parts, of_kinds in zip(
-            kept, judgements, sure, chances, strict=True
-        )
+        for one, judgement, of_kinds in zip(kept, judgements, chances, strict=True)
     ]

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.metrics.calibration import edge_identities, identities
+from sg3d_jax.metrics.calibration import Identity, edge_identities, identities
 from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
 from sg3d_jax.scene.ontology import Ontology
 
@@ -43,6 +43,24 @@ class Confidence(NamedTuple):
     agreement: float | None  # grown nodes that other samples have, too; None if there are none
 
 
+class Judgement(NamedTuple):
+    """What there is to say of a completed graph."""
+
+    confidence: Confidence  # of all of it
+    remarks: tuple[str, ...]  # one sentence each
+    # How likely each is right, 0 to 1; what was given has 1. None if one graph was drawn.
+    nodes: np.ndarray | None  # float64[n]
+    edges: np.ndarray | None  # float64[e], in the order of `parts_first`
+
+
+class _Read(NamedTuple):
+    """What the nodes and edges of a host graph stand for."""
+
+    graph: SceneGraph
+    nodes: list[Identity]
+    edges: list[tuple[Identity, Identity]]
+
+
 class _Doubt(NamedTuple):
     """What is not as it should be of the nodes of one concept."""
 
@@ -54,51 +72,47 @@ class _Doubt(NamedTuple):
 
 def judged(
     graphs: Sequence[SceneGraph], drawn: Sequence[SceneGraph], num_given: int
-) -> list[tuple[Confidence, tuple[str, ...]]]:
-    """Returns how sure some graphs of one scene are, and what to say of it, one sentence each.
-
-    Args:
-      graphs: host graphs that were completed of the scene.
-      drawn: all that were drawn of it; `graphs` are some of them, or made of them.
-      num_given: how many of their first nodes were given.
-    """
-    agreement = _agreement(graphs, drawn, num_given)
-    results = []
-    for graph, shared in zip(graphs, agreement, strict=True):
-        doubts = list(_doubts(graph))
-        confidence = Confidence(
-            **{field: _share(doubts, field) for field in Confidence._fields[:3]}, agreement=shared
-        )
-        results.append((confidence, tuple(_remarks(confidence, doubts))))
-    return results
-
-
-def sure_of(
-    graphs: Sequence[SceneGraph], drawn: Sequence[SceneGraph], num_given: int
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Returns how likely the nodes and the part-of edges of graphs of one scene are right.
+) -> list[Judgement]:
+    """Returns how sure some graphs of one scene are, and what to say of it.
 
     A node is right if the truth has one of its concept over the same observed nodes; see
     `metrics.calibration`.
 
     Args:
       graphs: host graphs that were completed of the scene.
-      drawn: all that were drawn of it, at least two.
-      num_given: how many of their first nodes were given: they, and edges between them, have 1.
-
-    Returns:
-      Of each graph float[n], and float[e] in the order of `parts_first`.
+      drawn: all that were drawn of it; `graphs` are some of them, or made of them.
+      num_given: how many of their first nodes were given: they, and edges between them, are sure.
     """
-    nodes = Counter(one for graph in drawn for one in identities(graph))
-    edges = Counter(one for graph in drawn for one in edge_identities(graph))
+    draws = _read_all(drawn, []) if len(drawn) > 1 else []  # one alone tells nothing of its parts
+    own = _read_all(graphs, draws) if draws else [None] * len(graphs)
+    nodes = Counter(one for draw in draws for one in draw.nodes)
+    edges = Counter(one for draw in draws for one in draw.edges)
     results = []
-    for graph in graphs:
-        of_nodes = likely([nodes[one] for one in identities(graph)], len(drawn))
-        of_edges = likely([edges[one] for one in edge_identities(graph)], len(drawn))
-        of_nodes[:num_given] = 1.0
-        of_edges[(parts_first(graph) < num_given).all(axis=1)] = 1.0
-        results.append((of_nodes, of_edges))
+    for graph, read in zip(graphs, own, strict=True):
+        agreement, of_nodes, of_edges = None, None, None
+        if read is not None:
+            agreement = _agreement(read, draws, num_given)
+            of_nodes = likely([nodes[one] for one in read.nodes], len(drawn))
+            of_edges = likely([edges[one] for one in read.edges], len(drawn))
+            of_nodes[:num_given] = 1.0
+            of_edges[(parts_first(graph) < num_given).all(axis=1)] = 1.0
+        doubts = list(_doubts(graph))
+        shares = {field: _share(doubts, field) for field in Confidence._fields[:3]}
+        confidence = Confidence(**shares, agreement=agreement)
+        remarks = tuple(_remarks(confidence, doubts))
+        results.append(Judgement(confidence, remarks, of_nodes, of_edges))
     return results
+
+
+def _read_all(graphs: Sequence[SceneGraph], known: Sequence[_Read]) -> list[_Read]:
+    """Reads graphs, but for those that are known."""
+    before = {id(read.graph): read for read in known}
+    return [before.get(id(graph)) or _read(graph) for graph in graphs]
+
+
+def _read(graph: SceneGraph) -> _Read:
+    nodes = identities(graph)
+    return _Read(graph, nodes, edge_identities(graph, nodes))
 
 
 def likely(holders: Sequence[int], num_drawn: int) -> np.ndarray:
@@ -180,22 +194,14 @@ def _plural(ontology: Ontology, kind: int) -> str:
     return ontology.concepts[kind].layer.lower()
 
 
-def _agreement(
-    graphs: Sequence[SceneGraph], drawn: Sequence[SceneGraph], num_given: int
-) -> list[float | None]:
+def _agreement(graph: _Read, drawn: Sequence[_Read], num_given: int) -> float:
     """Returns the share of grown nodes that other draws have over the same observed nodes.
 
     Of two graphs it is twice what they share over what both have.
     """
-    if len(drawn) < 2:
-        return [None] * len(graphs)
-    known = [{*identities(graph)[num_given:]} for graph in drawn]
-    results = []
-    for graph in graphs:
-        one = {*identities(graph)[num_given:]}
-        others = [held for other, held in zip(drawn, known, strict=True) if other is not graph]
-        results.append(float(np.mean([_shared(one, other) for other in others])))
-    return results
+    one = {*graph.nodes[num_given:]}
+    others = [{*other.nodes[num_given:]} for other in drawn if other is not graph]
+    return float(np.mean([_shared(one, other) for other in others]))
 
 
 def _shared(one: Set, other: Set) -> float:

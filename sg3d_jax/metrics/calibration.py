@@ -122,9 +122,16 @@ def identities(graph: SceneGraph) -> list[Identity]:
     return known
 
 
-def edge_identities(graph: SceneGraph) -> list[tuple[Identity, Identity]]:
-    """Returns what both ends of each part-of edge stand for, in the order of `parts_first`."""
-    known = identities(graph)
+def edge_identities(
+    graph: SceneGraph, known: Sequence[Identity] | None = None
+) -> list[tuple[Identity, Identity]]:
+    """Returns what both ends of each part-of edge stand for, in the order of `parts_first`.
+
+    Args:
+      graph: host graph.
+      known: its `identities`, where they are there already.
+    """
+    known = identities(graph) if known is None else known
     return [(known[part], known[whole]) for part, whole in parts_first(graph).tolist()]
 
 

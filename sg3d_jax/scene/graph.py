@@ -142,15 +142,16 @@ def undirected_edges(graph: SceneGraph, relation: int) -> np.ndarray:
     """Returns the real edges of one relation, each pair once, as int32[e, 2] with i < j, sorted."""
     senders, receivers = np.asarray(graph.senders), np.asarray(graph.receivers)
     chosen = np.asarray(graph.edges.mask) & (np.asarray(graph.edges.relation) == relation)
-    pairs = np.stack([senders, receivers], axis=-1)[chosen & (senders < receivers)]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    once = np.flatnonzero(chosen & (senders < receivers))
+    once = once[np.lexsort((receivers[once], senders[once]))]
+    return np.stack([senders[once], receivers[once]], axis=-1)
 
 
 def parts_first(graph: SceneGraph) -> np.ndarray:
     """Returns the part-of edges of a host graph as int32[e, 2], the part before its whole."""
-    label, pairs = np.asarray(graph.nodes.label), undirected_edges(graph, PART_OF)
-    order = np.argsort(label[pairs], axis=1, kind="stable")
-    return np.take_along_axis(pairs, order, axis=1)
+    label, (low, high) = np.asarray(graph.nodes.label), undirected_edges(graph, PART_OF).T
+    turned = label[low] > label[high]
+    return np.stack([np.where(turned, high, low), np.where(turned, low, high)], axis=-1)
 
 
 def part_of_matrix(graph: SceneGraph) -> np.ndarray:

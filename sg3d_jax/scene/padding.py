@@ -69,7 +69,9 @@ def pad(graph: SceneGraph, capacity: Capacity) -> PackedGraph:
 
     def grow(array: np.ndarray, size: int) -> np.ndarray:
         array = np.asarray(array)
-        return np.pad(array, [(0, size - len(array)), *[(0, 0)] * (array.ndim - 1)])
+        padded = np.zeros((size, *array.shape[1:]), array.dtype)
+        padded[: len(array)] = array
+        return padded
 
     return PackedGraph(
         nodes=Nodes(*(grow(field, capacity.nodes) for field in graph.nodes)),
@@ -151,7 +153,7 @@ def stack(graphs: Sequence[SceneGraph], capacity: Capacity) -> PackedGraph:
     if not graphs:
         raise ValueError("there are no graphs to stack, expected at least one")
     padded = [pad(graph, capacity) for graph in graphs]
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *padded)
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *padded))
 
 
 def part_of_adjacency(graph: SceneGraph) -> Bool[Array, "N N"]:

@@ -5,7 +5,7 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import registry
-from sg3d_jax.infer.confidence import PRIOR, SHARPNESS, Confidence, judged, sure_of
+from sg3d_jax.infer.confidence import PRIOR, SHARPNESS, Confidence, judged
 from sg3d_jax.metrics.oddities import Odd, Oddity, oddities
 from sg3d_jax.scene.graph import (
     SceneGraph,
@@ -30,7 +30,11 @@ def without(graph: SceneGraph, *lost: tuple[int, int]) -> SceneGraph:
 
 def of_all(graphs, num_given):
     """How sure each of some samples is, none of them being put together of others."""
-    return judged(graphs, graphs, num_given)
+    return [(one.confidence, one.remarks) for one in judged(graphs, graphs, num_given)]
+
+
+def sure_of(graphs, drawn, num_given):
+    return [(one.nodes, one.edges) for one in judged(graphs, drawn, num_given)]
 
 
 def alone(graph):
@@ -166,9 +170,14 @@ def test_repeated_nodes_are_no_agreement():
 def test_what_is_put_together_agrees_with_all_that_was_drawn():
     right, wrong = drawn((0, 1, 2, 3), (4, 5, 6, 7)), drawn((0, 1, 2), (3, 4, 5, 6, 7))
     copy = subgraph(right, range(len(right.nodes.label)))
-    [(drawn_one, _), (made, _)] = judged([right, copy], [right, wrong], NUM_PLANES)
-    npt.assert_allclose(drawn_one.agreement, 1 / 3)
-    npt.assert_allclose(made.agreement, (1 + 1 / 3) / 2)
+    drawn_one, made = judged([right, copy], [right, wrong], NUM_PLANES)
+    npt.assert_allclose(drawn_one.confidence.agreement, 1 / 3)
+    npt.assert_allclose(made.confidence.agreement, (1 + 1 / 3) / 2)
+
+
+def test_one_draw_alone_tells_nothing_of_its_nodes_and_edges():
+    [one] = judged([two_rooms()], [two_rooms()], NUM_PLANES)
+    assert one.nodes is one.edges is one.confidence.agreement is None
 
 
 def likely(count, of_all):
