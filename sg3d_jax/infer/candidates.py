@@ -32,6 +32,8 @@ def most_agreeing(candidates: Sequence[SceneGraph], num_given: int) -> int:
     """
     if not candidates:
         raise ValueError("a scene has no candidates, expected at least one")
+    if len(candidates) == 1:
+        return 0
     grown = [identities(graph)[num_given:] for graph in candidates]
     holders = Counter(identity for of_graph in grown for identity in of_graph)
     share = [sum(holders[one] for one in nodes) / max(1, len(nodes)) for nodes in grown]
@@ -46,8 +48,10 @@ def are_settled(candidates: Sequence[SceneGraph], num_given: int) -> bool:
       candidates: host graphs, all over the same given nodes.
       num_given: how many of their first nodes were given.
     """
+    if len(candidates) < 2:
+        return False
     held = [frozenset(Counter(identities(graph)[num_given:]).items()) for graph in candidates]
-    return len(held) > 1 and 2 * Counter(held).most_common(1)[0][1] > len(held)
+    return 2 * Counter(held).most_common(1)[0][1] > len(held)
 
 
 def num_flaws(graph: SceneGraph) -> int:
