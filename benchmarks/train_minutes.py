@@ -17,6 +17,7 @@ import time
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -65,16 +66,7 @@ def main() -> None:
     began = time.monotonic()
     said = lambda text: print(f"{time.monotonic() - began:6.1f} s  {text}", flush=True)
     given = {name: value for name, value in vars(arguments).items() if value is not None}
-    config = find_config(given["config"])
-    data = {name: given[name] for name in ("views", "num_graphs") if name in given}
-    data |= {"name": given["data"]} if "data" in given else {}
-    given.setdefault("accumulate", len(jax.devices()))
-    names = "batch", "batch_nodes", "accumulate", "initial", "fresh_every"
-    fields = {name: given[name] for name in names if name in given}
-    fields |= {"capacities": tuple(given["capacities"])} if "capacities" in given else {}
-    data = dataclasses.replace(config.data, **data).anew(arguments.draw)
-    endless = {"steps": ENDLESS, "steps_per_call": STEPS_A_CALL}
-    config = dataclasses.replace(config, data=data, **fields, **endless)
+    config = configured(given)
     said(f"{jax.devices()}")
     with workers() as make:
         graphs = made_side_by_side(make, config.data, config.method)
@@ -134,6 +126,20 @@ def main() -> None:
                 write()
                 written = time.monotonic()
     write()
+
+
+def configured(given: dict[str, Any]) -> Config:
+    """Returns the configuration with what is given at the shell in place of its own."""
+    given = {"accumulate": len(jax.devices())} | given
+    config = find_config(given["config"])
+    data = {name: given[name] for name in ("views", "num_graphs") if name in given}
+    data |= {"name": given["data"]} if "data" in given else {}
+    names = "batch", "batch_nodes", "accumulate", "initial", "fresh_every"
+    fields = {name: given[name] for name in names if name in given}
+    fields |= {"capacities": tuple(given["capacities"])} if "capacities" in given else {}
+    data = dataclasses.replace(config.data, **data).anew(given["draw"])
+    endless = {"steps": ENDLESS, "steps_per_call": STEPS_A_CALL}
+    return dataclasses.replace(config, data=data, **fields, **endless)
 
 
 def statistics_for(config: Config, stacks: Sequence[PackedGraph]) -> Measured:
