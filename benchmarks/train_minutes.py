@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, help="of each graph of a set that a robot sees")
     parser.add_argument("--num-graphs", type=int, help="of each set")
     parser.add_argument("--fresh-every", type=int, help="steps after which data are drawn anew")
-    parser.add_argument("--draw", type=int, default=0, help="of the data; 0 as configured")
+    parser.add_argument("--draw", type=int, default=0, help="of the data; 0: that of `sg3d train`")
     parser.add_argument("--rate", type=float, help="the highest learning rate")
     parser.add_argument("--capacities", type=int, nargs="+", help="of the buckets, nodes")
     parser.add_argument("--initial", help="weights to start from")
@@ -67,9 +67,10 @@ def main() -> None:
     said = lambda text: print(f"{time.monotonic() - began:6.1f} s  {text}", flush=True)
     given = {name: value for name, value in vars(arguments).items() if value is not None}
     config = configured(given)
+    drawing = dataclasses.replace(config, data=config.data.anew(arguments.draw))
     said(f"{jax.devices()}")
     with workers() as make:
-        graphs = made_side_by_side(make, config.data, config.method)
+        graphs = made_side_by_side(make, drawing.data, config.method)
     fitting = [graph for graph in graphs if slots_of(graph) <= config.capacities[-1]]
     said(f"{len(graphs)} graphs, {len(graphs) - len(fitting)} of them too large and left out")
     first_stacks = stack_by_size(fitting, config.capacities, SPARE_EDGES)
@@ -101,7 +102,7 @@ def main() -> None:
         said(f"{arguments.output}: {so_far.steps} steps")
 
     seconds = max(60 * arguments.minutes - (first - began), 1e-3)
-    with closing(rounds(config, first_stacks, 0)) as coming:
+    with closing(rounds(drawing, first_stacks, 0)) as coming:
         while (progress := (time.monotonic() - first) / seconds) < 1:
             if len(log) * STEPS_A_CALL >= until:
                 graphs, until = next(coming)
@@ -137,7 +138,7 @@ def configured(given: dict[str, Any]) -> Config:
     names = "batch", "batch_nodes", "accumulate", "initial", "fresh_every"
     fields = {name: given[name] for name in names if name in given}
     fields |= {"capacities": tuple(given["capacities"])} if "capacities" in given else {}
-    data = dataclasses.replace(config.data, **data).anew(given["draw"])
+    data = dataclasses.replace(config.data, **data)
     endless = {"steps": ENDLESS, "steps_per_call": STEPS_A_CALL}
     return dataclasses.replace(config, data=data, **fields, **endless)
 

@@ -18,10 +18,7 @@ SETS = ("o-f:2500", "o-c:700")
 CONFIG: Config = dataclasses.replace(
     GENERAL,
     data=DataConfig(
-        name="+".join([*SETS, *(f"{name}@robot" for name in SETS)]),
-        title="furnished",
-        views=2,
-        seed=1,
+        name="+".join([*SETS, *(f"{name}@robot" for name in SETS)]), title="furnished", views=2
     ),
     ontology=FURNISHED_ONTOLOGY,
     initial="midi-general",

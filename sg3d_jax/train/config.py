@@ -23,8 +23,7 @@ class DataConfig:
 
     Several data sets are joined by plus signs, each with its own number of graphs behind a colon,
     if not as many as usual: "s-f+g-c:1000+p-f.npz@robot". One that is named twice counts twice. As
-    many others of a seed are dealt otherwise: what is scored on a whole set is trained on a part of
-    it with another seed, or some of its test graphs have been seen.
+    many others of a seed are dealt otherwise: among them are some that the whole set tests with.
     """
 
     name: str = "s-f-square"  # a data set by name, the path of an npz file, or several
