@@ -56,7 +56,6 @@ class Judgement(NamedTuple):
 class _Read(NamedTuple):
     """What the nodes and edges of a host graph stand for."""
 
-    graph: SceneGraph
     nodes: list[Identity]
     edges: list[tuple[Identity, Identity]]
 
@@ -83,17 +82,20 @@ def judged(
       drawn: all that were drawn of it; `graphs` are some of them, or made of them.
       num_given: how many of their first nodes were given: they, and edges between them, are sure.
     """
-    draws = _read_all(drawn, []) if len(drawn) > 1 else []  # one alone tells nothing of its parts
-    own = _read_all(graphs, draws) if draws else [None] * len(graphs)
+    several = len(drawn) > 1  # one alone tells nothing of its nodes and edges
+    every = {id(graph): graph for graph in (*drawn, *graphs)} if several else {}
+    read = {name: _read(graph) for name, graph in every.items()}
+    draws = [read[id(graph)] for graph in drawn if several]
     nodes = Counter(one for draw in draws for one in draw.nodes)
     edges = Counter(one for draw in draws for one in draw.edges)
     results = []
-    for graph, read in zip(graphs, own, strict=True):
+    for graph in graphs:
         agreement, of_nodes, of_edges = None, None, None
-        if read is not None:
-            agreement = _agreement(read, draws, num_given)
-            of_nodes = likely([nodes[one] for one in read.nodes], len(drawn))
-            of_edges = likely([edges[one] for one in read.edges], len(drawn))
+        if several:
+            own = read[id(graph)]
+            agreement = _agreement(own, draws, num_given)
+            of_nodes = likely([nodes[one] for one in own.nodes], len(drawn))
+            of_edges = likely([edges[one] for one in own.edges], len(drawn))
             of_nodes[:num_given] = 1.0
             of_edges[(parts_first(graph) < num_given).all(axis=1)] = 1.0
         doubts = list(_doubts(graph))
@@ -104,15 +106,9 @@ def judged(
     return results
 
 
-def _read_all(graphs: Sequence[SceneGraph], known: Sequence[_Read]) -> list[_Read]:
-    """Reads graphs, but for those that are known."""
-    before = {id(read.graph): read for read in known}
-    return [before.get(id(graph)) or _read(graph) for graph in graphs]
-
-
 def _read(graph: SceneGraph) -> _Read:
     nodes = identities(graph)
-    return _Read(graph, nodes, edge_identities(graph, nodes))
+    return _Read(nodes, edge_identities(graph, nodes))
 
 
 def likely(holders: Sequence[int], num_drawn: int) -> np.ndarray:
