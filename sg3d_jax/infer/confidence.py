@@ -93,7 +93,8 @@ def judged(
         agreement, of_nodes, of_edges = None, None, None
         if several:
             own = read[id(graph)]
-            agreement = _agreement(own, draws, num_given)
+            place = next((i for i, one in enumerate(drawn) if one is graph), len(drawn))
+            agreement = _agreement(own, [*draws[:place], *draws[place + 1 :]], num_given)
             of_nodes = likely([nodes[one] for one in own.nodes], len(drawn))
             of_edges = likely([edges[one] for one in own.edges], len(drawn))
             of_nodes[:num_given] = 1.0
@@ -190,14 +191,13 @@ def _plural(ontology: Ontology, kind: int) -> str:
     return ontology.concepts[kind].layer.lower()
 
 
-def _agreement(graph: _Read, drawn: Sequence[_Read], num_given: int) -> float:
+def _agreement(graph: _Read, others: Sequence[_Read], num_given: int) -> float:
     """Returns the share of grown nodes that other draws have over the same observed nodes.
 
     Of two graphs it is twice what they share over what both have.
     """
     one = {*graph.nodes[num_given:]}
-    others = [{*other.nodes[num_given:]} for other in drawn if other is not graph]
-    return float(np.mean([_shared(one, other) for other in others]))
+    return float(np.mean([_shared(one, {*other.nodes[num_given:]}) for other in others]))
 
 
 def _shared(one: Set, other: Set) -> float:
