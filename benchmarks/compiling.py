@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from sg3d_jax.cli.provenance import provenance
 from sg3d_jax.data import registry
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, grow_lanes
-from sg3d_jax.infer.lanes import root_key, sample_keys
+from sg3d_jax.infer.lanes import sample_keys
 from sg3d_jax.scene.graph import SceneGraph, observed_of
 from sg3d_jax.scene.padding import bucket, stack
 from sg3d_jax.train.dataset import stack_by_size
@@ -45,7 +45,7 @@ class Program(NamedTuple):
 def growing(trained: Trained, graphs: list[SceneGraph]) -> Program:
     """Returns the growth of a batch of scenes."""
     given = stack([observed_of(graph) for graph in graphs[:LANES]], bucket(GROWTH_NODES))
-    keys, steps = sample_keys(root_key(0), range(LANES), [0] * LANES), jnp.zeros(LANES, jnp.int32)
+    keys, steps = sample_keys(0, range(LANES), [0] * LANES), jnp.zeros(LANES, jnp.int32)
     arguments = trained.model, trained.params, keys, given, steps, DEFAULT_MAX_STEPS, False
     return Program(grow_lanes, arguments)
 

@@ -56,8 +56,8 @@ class Judgement(NamedTuple):
 class _Read(NamedTuple):
     """What the nodes and edges of a host graph stand for."""
 
-    nodes: list[Identity]
-    edges: list[tuple[Identity, Identity]]
+    of_nodes: list[Identity]
+    of_edges: list[tuple[Identity, Identity]]
 
 
 class _Doubt(NamedTuple):
@@ -86,8 +86,8 @@ def judged(
     every = {id(graph): graph for graph in (*drawn, *graphs)} if several else {}
     read = {name: _read(graph) for name, graph in every.items()}
     draws = [read[id(graph)] for graph in drawn if several]
-    nodes = Counter(one for draw in draws for one in draw.nodes)
-    edges = Counter(one for draw in draws for one in draw.edges)
+    nodes = Counter(one for draw in draws for one in draw.of_nodes)
+    edges = Counter(one for draw in draws for one in draw.of_edges)
     results = []
     for graph in graphs:
         agreement, of_nodes, of_edges = None, None, None
@@ -95,8 +95,8 @@ def judged(
             own = read[id(graph)]
             place = next((i for i, one in enumerate(drawn) if one is graph), len(drawn))
             agreement = _agreement(own, [*draws[:place], *draws[place + 1 :]], num_given)
-            of_nodes = likely([nodes[one] for one in own.nodes], len(drawn))
-            of_edges = likely([edges[one] for one in own.edges], len(drawn))
+            of_nodes = likely([nodes[one] for one in own.of_nodes], len(drawn))
+            of_edges = likely([edges[one] for one in own.of_edges], len(drawn))
             of_nodes[:num_given] = 1.0
             of_edges[(parts_first(graph) < num_given).all(axis=1)] = 1.0
         doubts = list(_doubts(graph))
@@ -196,8 +196,8 @@ def _agreement(graph: _Read, others: Sequence[_Read], num_given: int) -> float:
 
     Of two graphs it is twice what they share over what both have.
     """
-    one = {*graph.nodes[num_given:]}
-    return float(np.mean([_shared(one, {*other.nodes[num_given:]}) for other in others]))
+    one = {*graph.of_nodes[num_given:]}
+    return float(np.mean([_shared(one, {*other.of_nodes[num_given:]}) for other in others]))
 
 
 def _shared(one: Set, other: Set) -> float:

@@ -119,18 +119,10 @@ def root_key(seed: int) -> Key[Array, ""]:
     return key
 
 
-def sample_keys(
-    root: Key[Array, ""], scenes: Sequence[int], samples: Sequence[int]
-) -> Key[Array, " B"]:
-    """Returns a key for each (scene, sample) pair, so that neither batch nor count changes any.
-
-    Args:
-      root: of `root_key`.
-      scenes: their numbers.
-      samples: likewise, as many.
-    """
+def sample_keys(seed: int, scenes: Sequence[int], samples: Sequence[int]) -> Key[Array, " B"]:
+    """Returns a key for each (scene, sample) pair, so that neither batch nor count changes any."""
     pairs = (np.asarray(numbers, np.uint32) for numbers in (scenes, samples))
-    return _folded_in(root, *pairs)
+    return _folded_in(root_key(seed), *pairs)
 
 
 @jax.jit
@@ -217,7 +209,7 @@ def complete_lanes(
       params: its parameters.
       scenes: of `prepare`.
       course: how a scene is completed.
-      seed: of `root_key`.
+      seed: of `sample_keys`.
       max_steps: a limit on the number of blocks.
       numbers: of the scenes, for `sample_keys`; None for their places in the list.
       lanes: scenes that a device grows together; None for `num_lanes`. Results do not depend on it,
@@ -236,7 +228,7 @@ def complete_lanes(
     if mesh is not None:
         params = jax.device_put(params, NamedSharding(mesh, PartitionSpec()))
     numbers = range(len(scenes)) if numbers is None else numbers
-    runner = _Runner(model, params, scenes, numbers, root_key(seed), max_steps, lanes, mesh)
+    runner = _Runner(model, params, scenes, numbers, seed, max_steps, lanes, mesh)
     return _in_order(_Work(runner, capacities, course, outgrow), len(scenes))
 
 
@@ -247,7 +239,7 @@ class _Runner(NamedTuple):
     params: Params
     scenes: Sequence[Scene]
     numbers: Sequence[int]  # of the scenes, for their keys
-    root: Key[Array, ""]  # of the keys of samples
+    seed: int
     max_steps: int
     lanes: int | None  # of a device; None for `num_lanes`
     mesh: Mesh | None  # devices; None for one
@@ -277,7 +269,7 @@ class _Runner(NamedTuple):
         filled = [*jobs, *[jobs[-1]._replace(steps=self.max_steps)] * (size - len(jobs))]
         filled = [filled[index] for index in order.tolist()]
         keys = sample_keys(
-            self.root, [self.numbers[job.scene] for job in filled], [job.sample for job in filled]
+            self.seed, [self.numbers[job.scene] for job in filled], [job.sample for job in filled]
         )
         with own_types():  # for models that complete at once; growing sees to it by itself
             given = stack([job.graph for job in filled], capacity)
