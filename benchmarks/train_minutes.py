@@ -14,7 +14,6 @@ import argparse
 import dataclasses
 import json
 import time
-from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -24,12 +23,11 @@ import numpy as np
 import optax
 
 from sg3d_jax.infer.lanes import root_key
-from sg3d_jax.scene.graph import PackedGraph
 from sg3d_jax.train.card import card_of
 from sg3d_jax.train.config import Config
-from sg3d_jax.train.dataset import slots_of, stack_by_size
-from sg3d_jax.train.loop import SPARE_EDGES, bucket_of_call, compile_calls, start_from_weights
-from sg3d_jax.train.methods import Measured, build_model, measure
+from sg3d_jax.train.dataset import slots_of
+from sg3d_jax.train.loop import bucket_of_call, build, compile_calls, start_from_weights
+from sg3d_jax.train.methods import Measured
 from sg3d_jax.train.presets import find_config
 from sg3d_jax.train.processes import on_all_devices
 from sg3d_jax.train.rounds import made_side_by_side, rounds, workers
@@ -73,9 +71,7 @@ def main() -> None:
         graphs = made_side_by_side(make, drawing.data, config.method)
     fitting = [graph for graph in graphs if slots_of(graph) <= config.capacities[-1]]
     said(f"{len(graphs)} graphs, {len(graphs) - len(fitting)} of them too large and left out")
-    first_stacks = stack_by_size(fitting, config.capacities, SPARE_EDGES)
-    statistics = statistics_for(config, first_stacks)
-    model = build_model(config.model, config.flagg, statistics, config.ontology)
+    first_stacks, statistics, model = build(config, fitting, known_to_initial(config))
     shares = shares_of(first_stacks)
     sizes = [stack.nodes.mask.shape for stack in first_stacks]
     said(f"stacks of {sizes}, shares {shares.round(3).tolist()}")
@@ -143,13 +139,12 @@ def configured(given: dict[str, Any]) -> Config:
     return dataclasses.replace(config, data=data, **fields, **endless)
 
 
-def statistics_for(config: Config, stacks: Sequence[PackedGraph]) -> Measured:
-    """Returns what a model knows of its training set: this one, or that of the initial weights."""
-    if config.initial is not None:
-        initial = load_weights(config.initial)
-        if initial.config.ontology == config.ontology:
-            return initial.statistics
-    return measure(config.model, config.flagg, stacks)
+def known_to_initial(config: Config) -> Measured | None:
+    """Returns what the weights to start from know of their training set, if of these concepts."""
+    if config.initial is None:
+        return None
+    initial = load_weights(config.initial)
+    return initial.statistics if initial.config.ontology == config.ontology else None
 
 
 if __name__ == "__main__":

@@ -6,10 +6,8 @@ It is what `consensus` begins from, which adds what most others have and this on
 from collections import Counter
 from collections.abc import Sequence
 
-import numpy as np
-
 from sg3d_jax.metrics.calibration import identities
-from sg3d_jax.metrics.oddities import num_wholes
+from sg3d_jax.metrics.oddities import odd_wholes
 from sg3d_jax.metrics.structure import num_forbidden_edges
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
@@ -60,9 +58,6 @@ def num_flaws(graph: SceneGraph) -> int:
     Edges that it forbids, and grown nodes of none or several wholes where one is due. What is
     observed may belong to nothing (clutter), and what was cut to several (its pieces).
     """
-    ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
-    flaws = num_forbidden_edges(graph)
-    for part, whole in ontology.single_wholes:
-        if whole <= label.max(initial=-1) and not ontology.is_observed[part]:
-            flaws += int(np.sum(num_wholes(graph, part, whole)[label == part] != 1))
-    return flaws
+    observed = {one.name for one in ontology_of(graph).concepts if one.observed}
+    grown = sum(nodes for odd, nodes in odd_wholes(graph) if odd.concept not in observed)
+    return num_forbidden_edges(graph) + grown

@@ -94,7 +94,7 @@ def check(graphs: Iterable[SceneGraph]) -> list[Remark]:
 def oddities(graph: SceneGraph) -> Counter[Odd]:
     """Counts what is unusual in one host graph."""
     found: Counter[Odd] = Counter()
-    for odd, nodes in (*_odd_wholes(graph), *_odd_parts(graph)):
+    for odd, nodes in (*odd_wholes(graph), *_odd_parts(graph)):
         found[odd] += nodes
     found[Odd(Oddity.APART)] += _num_apart(graph)
     for odd, nodes in _repeated(graph):
@@ -104,7 +104,7 @@ def oddities(graph: SceneGraph) -> Counter[Odd]:
     return +found
 
 
-def _odd_wholes(graph: SceneGraph) -> Iterator[tuple[Odd, int]]:
+def odd_wholes(graph: SceneGraph) -> Iterator[tuple[Odd, int]]:
     """Counts parts that have none or several of what they should have one of."""
     ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
     for low, high in ontology.single_wholes:

@@ -80,22 +80,31 @@ class Finished(NamedTuple):
     fgw: float  # it
 
 
-def prepare(config: Config, graphs: Sequence[SceneGraph] | None = None) -> Run:
-    """Makes or reads the data and builds the model.
+def prepare(config: Config) -> Run:
+    """Makes or reads the data and builds the model."""
+    graphs = _graphs_of(config)
+    stacks, statistics, model = build(config, graphs)
+    validation = load_split(config.data, "validation")[: config.validation_graphs]
+    digests = {"training": digest_of(graphs), "validation": digest_of(validation)}
+    return Run(config, model, statistics, stacks, validation, card_of(graphs), digests)
+
+
+def build(
+    config: Config, graphs: Sequence[SceneGraph], statistics: Measured | None = None
+) -> tuple[list[PackedGraph], Measured, Model]:
+    """Stacks the graphs that are trained on by size, and builds the model.
 
     Args:
       config: the run.
-      graphs: that are trained on, where they are made already; None for those of the configuration.
+      graphs: host graphs.
+      statistics: what the model is to know of its training set; None for those of the graphs.
     """
-    graphs = _graphs_of(config) if graphs is None else graphs
     _check_concepts(config, graphs)
     spare = 0.0 if config.fresh_every is None else SPARE_EDGES
     stacks = stack_by_size(graphs, config.capacities, spare)
-    statistics = measure(config.model, config.flagg, stacks)
-    validation = load_split(config.data, "validation")[: config.validation_graphs]
-    model = build_model(config.model, config.flagg, statistics, config.ontology)
-    digests = {"training": digest_of(graphs), "validation": digest_of(validation)}
-    return Run(config, model, statistics, stacks, validation, card_of(graphs), digests)
+    if statistics is None:
+        statistics = measure(config.model, config.flagg, stacks)
+    return stacks, statistics, build_model(config.model, config.flagg, statistics, config.ontology)
 
 
 def _graphs_of(config: Config) -> list[SceneGraph]:
