@@ -7,6 +7,10 @@ observed below that is below the whole: a candidate that has another room there 
 floor it is on. Where two candidates differ, wholes that overlap are taken or left together, or a
 part would have two wholes, or none.
 
+Over what is observed candidates agree on most wholes to the last part, and a whole has the votes of
+those that have it. Higher up they seldom do: three may each put another room on the wrong floor. So
+there every two parts vote, for or against being in one whole.
+
 Of wholes with parts of several concepts, those of the lowest say which whole it is, as planes do of
 a room. The others are put to the vote one by one, once wholes are elected: a chair that stands next
 door in some candidates does not cost the room its votes.
@@ -15,7 +19,9 @@ Nothing is matched by FGW plans: what is observed is the same in all candidates 
 stand for the same. Votes over nodes that plans match were tried, and are no better and far slower.
 
 Source: Margush and McMorris, "Consensus n-trees", Bulletin of Mathematical Biology 43, 1981: what
-most trees have fits together.
+most trees have fits together. Votes of pairs: the median partition of Barthelemy and Monjardet,
+"The median procedure in cluster analysis and social choice theory", Mathematical Social Sciences 1,
+1981.
 Differs: where there is no majority, a part gets a whole nonetheless; wholes are compared over the
 parts chosen below, so that one room does not cost the votes for its floor.
 """
@@ -23,6 +29,7 @@ parts chosen below, so that one room does not cost the votes for its floor.
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,10 +107,12 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
             continue
         ballots = [_ballot(one, draft, parts, concept) for one in candidates]
         wholes = [{*ballot} for ballot in ballots]
-        chosen = elected(wholes, start)
         single = {
             one for one in parts.tolist() if ontology.has_one_whole[draft.label[one], concept]
         }
+        is_above = not ontology.is_observed[ontology.may_be_part[:, concept]].any()
+        by_pairs = is_above and single.issuperset(parts.tolist())
+        chosen = elected(wholes, start, votes_of_pairs(wholes) if by_pairs else votes_of(wholes))
         joined = adopted(chosen, wholes, single)
         settled = {one for version in chosen for one in version.parts | joined[version]} & single
         beside = _beside(chosen, ballots, settled)
@@ -173,29 +182,61 @@ def _with_whole(draft: _Draft, version: Version, concept: int, position: np.ndar
     return draft._replace(pairs=[*draft.pairs, *new])
 
 
-def elected(ballots: Sequence[AbstractSet[Version]], start: int) -> AbstractSet[Version]:
+def elected(
+    ballots: Sequence[AbstractSet[Version]], start: int, votes: Mapping[Version, int]
+) -> AbstractSet[Version]:
     """Returns the wholes of one candidate, exchanged until no other's have more votes.
-
-    A part votes in each candidate, for its whole there and against any other. So wholes that a
-    majority has are taken, and where there is no majority those that most of their parts want.
 
     Args:
       ballots: the wholes of each candidate.
       start: whose wholes stay where votes are equal.
+      votes: for each of the wholes, less those against.
     """
-    holders = Counter(version for ballot in ballots for version in ballot)
-
-    def votes(versions: AbstractSet[Version]) -> int:
-        return sum((2 * holders[one] - len(ballots)) * len(one.parts) for one in versions)
-
     chosen, before = {*ballots[start]}, None
     while chosen != before:  # ends: every exchange adds votes
         before = {*chosen}
         for ballot in ballots:
             for out, into in _exchanges(chosen - ballot, ballot - chosen):
-                if votes(into) > votes(out):
+                if sum(votes[one] for one in into) > sum(votes[one] for one in out):
                     chosen = (chosen - out) | into
     return chosen
+
+
+def votes_of(ballots: Sequence[AbstractSet[Version]]) -> Mapping[Version, int]:
+    """Returns the votes of the parts of each whole.
+
+    A part votes in each candidate, for its whole there and against any other. So wholes that a
+    majority has are elected, and where there is no majority those that most of their parts want.
+
+    Args:
+      ballots: the wholes of each candidate.
+    """
+    holders = Counter(version for ballot in ballots for version in ballot)
+    return {one: (2 * held - len(ballots)) * len(one.parts) for one, held in holders.items()}
+
+
+def votes_of_pairs(ballots: Sequence[AbstractSet[Version]]) -> Mapping[Version, int]:
+    """Returns the votes of the parts of each whole, and of every two of them.
+
+    In each candidate two parts vote for a whole that has both if they are in one whole there, and
+    against it if they are not; so does each with the given whole that it has, and each by itself
+    for having a whole.
+
+    Args:
+      ballots: the wholes of each candidate, no part in two.
+    """
+    versions = [*{*chain.from_iterable(ballots)}]
+    given = {one.row for one in versions if one.row >= 0}
+    place = {row: k for k, row in enumerate(given.union(*(one.parts for one in versions)))}
+    has = np.zeros((len(versions), len(place)))
+    for one, row in zip(versions, has, strict=True):
+        row[[place[other] for other in {one.row} & given | one.parts]] = 1
+    held = np.array([sum(one in ballot for ballot in ballots) for one in versions])
+    together = 2 * (has.T * held) @ has - len(ballots)
+    of_given = [place[row] for row in given]
+    together[of_given, of_given] = 0  # which is there in any case
+    twice = np.sum((has @ together) * has, axis=1) + has @ together.diagonal()
+    return dict(zip(versions, (twice // 2).astype(int).tolist(), strict=True))
 
 
 def adopted(

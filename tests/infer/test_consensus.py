@@ -8,7 +8,7 @@ import pytest
 
 from sg3d_jax.data import registry
 from sg3d_jax.infer.candidates import num_flaws
-from sg3d_jax.infer.consensus import Version, consensus, elected
+from sg3d_jax.infer.consensus import Version, consensus, elected, votes_of, votes_of_pairs
 from sg3d_jax.metrics.calibration import identities
 from sg3d_jax.metrics.structure import exact_structure
 from sg3d_jax.scene.graph import make_graph, ontology_of, subgraph, undirected_edges
@@ -238,22 +238,28 @@ def test_concepts_that_grow_without_parts_cannot_be_put_to_the_vote():
     assert consensus([graph] * 3, 2) == (graph, 0)
 
 
-def test_a_draw_of_votes_leaves_what_it_began_from():
+def chosen_of(ballots, start, by):
+    return elected(ballots, start, by(ballots))
+
+
+@pytest.mark.parametrize("by", [votes_of, votes_of_pairs])
+def test_a_draw_of_votes_leaves_what_it_began_from(by):
     one, other = {room(0, 1), room(2)}, {room(0), room(1, 2)}
-    assert elected([one, other], 0) == one
-    assert elected([one, other], 1) == other
-    assert elected([one, other, other], 0) == other
+    assert chosen_of([one, other], 0, by) == one
+    assert chosen_of([one, other], 1, by) == other
+    assert chosen_of([one, other, other], 0, by) == other
 
 
 def test_two_small_rooms_count_as_much_as_a_large_one():
     large, halves = {room(0, 1, 2, 3)}, {room(0, 1), room(2, 3)}
     ballots = [large, halves, large, halves, {room(0), room(1), room(2), room(3)}]
-    assert elected(ballots, 0) == large
-    assert elected(ballots, 1) == halves
+    assert chosen_of(ballots, 0, votes_of) == large
+    assert chosen_of(ballots, 1, votes_of) == halves
 
 
+@pytest.mark.parametrize("by", [votes_of, votes_of_pairs])
 @pytest.mark.parametrize("seed", range(20))
-def test_wholes_that_are_elected_have_no_part_in_common_and_all_parts_a_whole(seed):
+def test_wholes_that_are_elected_have_no_part_in_common_and_all_parts_a_whole(seed, by):
     rng = np.random.default_rng(seed)
     base = rng.integers(4, size=12)
     ballots = []
@@ -261,6 +267,39 @@ def test_wholes_that_are_elected_have_no_part_in_common_and_all_parts_a_whole(se
         of_part = np.where(rng.random(12) < 0.2, rng.integers(4, size=12), base)
         ballots.append({room(*np.flatnonzero(of_part == k).tolist()) for k in {*of_part.tolist()}})
     for start in range(5):
-        chosen = elected(ballots, start)
+        chosen = chosen_of(ballots, start, by)
         parts = [part for version in chosen for part in version.parts]
         assert sorted(parts) == [*range(12)]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_pairs_vote_for_what_agrees_with_most_candidates_on_most_of_them(seed):
+    """A brute-force count; 20 and 21 are given wholes, one of which may hold nothing."""
+    rng = np.random.default_rng(seed)
+    ballots = []
+    for _ in range(5):
+        of_part = rng.integers(5, size=8)
+        held = [np.flatnonzero(of_part == k).tolist() for k in range(4)]  # what has 4 has no whole
+        ballots.append({room(*held[0], row=20), room(*held[1], row=21)})
+        ballots[-1] |= {room(*parts) for parts in held[2:] if parts}
+    for version, votes in votes_of_pairs(ballots).items():
+        parts = sorted(version.parts)
+        wanted = [{one, other} for one in parts for other in parts if one <= other]
+        said = sum(
+            2 * sum(any(pair <= one.parts for one in ballot) for ballot in ballots) - 5
+            for pair in wanted
+        )
+        if version.row >= 0:
+            at_row = [one.parts for ballot in ballots for one in ballot if one.row == version.row]
+            said += sum(2 * sum(part in other for other in at_row) - 5 for part in parts)
+        assert votes == said
+
+
+def test_rooms_that_most_have_on_different_floors_are_not_on_one():
+    """Two of eight join both floors; five each have another room on the wrong one."""
+    west, east = (0, 1, 2, 3, 4), (5, 6, 7)
+    joined, right = {room(*west, *east)}, {room(*west), room(*east)}
+    wrong = [{room(*({*west} - {lost})), room(*east, lost)} for lost in west]
+    ballots = [joined, joined, *wrong, right]
+    assert chosen_of(ballots, 0, votes_of_pairs) == right
+    assert chosen_of(ballots, 0, votes_of) == joined
