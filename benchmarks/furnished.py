@@ -21,10 +21,8 @@ from typing import Any, Final
 import numpy as np
 
 from sg3d_jax.cli.provenance import provenance_of_script
-from sg3d_jax.data.floorplan import read_floors
 from sg3d_jax.data.furnished import UNIT_KINDS
-from sg3d_jax.data.levels import floor_scenes
-from sg3d_jax.data.room_labels import labelled
+from sg3d_jax.data.registry import import_file
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.infer.kinds import chances_of_kinds
 from sg3d_jax.metrics.calibration import observed_below
@@ -95,9 +93,8 @@ def told(trained: Trained, truth: list[SceneGraph]) -> dict[str, Any]:
 
 def real_floors(path: Path) -> dict[str, list[SceneGraph]]:
     """Reads the test floors of a file of plans whose rooms are labelled, in a mixed order."""
-    made = floor_scenes(read_floors(path).floors)
-    graphs = [labelled(*each) for each in zip(made.graphs, made.names, strict=True)]
-    tests = [graph for graph, part in zip(graphs, made.parts, strict=True) if part == "test"]
+    graphs, about = import_file("p-f-kinds", path)
+    tests = [graph for graph, part in zip(graphs, about["parts"], strict=True) if part == "test"]
     mixed = [tests[index] for index in np.random.default_rng(0).permutation(len(tests))]
     kind = 1.0 + UNIT_KINDS.index("flat")
     is_flat = [kind in nodes_by_planes(graph, "unit").values() for graph in mixed]

@@ -142,6 +142,14 @@ DATASETS: Final[Mapping[str, DatasetSpec]] = MappingProxyType(
         "p-f": DatasetSpec("P-F", FLOOR, None, _FLOOR_PLANS, _BY_BUILDING),
         "p-b": DatasetSpec("P-B", BUILDING, None, _FLOOR_PLANS, _BY_BUILDING),
         "p-c": DatasetSpec("P-C", CITY, None, _FLOOR_PLANS, _BY_BUILDING),
+        "p-f-kinds": DatasetSpec(
+            "P-F-kinds",
+            FURNISHED_ONTOLOGY.label_of("floor"),
+            None,
+            f"{_FLOOR_PLANS[:-1]}, with the kinds that their rooms are labelled as.",
+            _BY_BUILDING,
+            ontology=FURNISHED_ONTOLOGY,
+        ),
     }
 )
 
@@ -279,7 +287,7 @@ def import_file(
       one building occur in several graphs, and for sets that are only for test; what each was made
       from (`origins`); and why floors of the file, or rooms, are not among them (`left_out`). Of
       floor plans of the user's own it has the unit (`units`), and what nodes are called (`names`),
-      by their rows.
+      by their rows, if labels are not read as kinds.
 
     Raises:
       ValueError: a known name is to be like another, `like` is unknown, or the file does not hold
@@ -287,6 +295,7 @@ def import_file(
     """
     from sg3d_jax.data import levels, msd, plans  # they bring shapely
     from sg3d_jax.data.floorplan import floors_of, read_floors
+    from sg3d_jax.data.room_labels import labelled
 
     if name in DATASETS and like is not None:
         raise ValueError(f"{name} is read as its own files are, expected another name, or no like")
@@ -321,7 +330,9 @@ def import_file(
         without = f"; {len(left_out)} are left out, first {left_out[0]}" if left_out else ""
         raise ValueError(f"{path}: {error}{without}") from error
     graphs, parts, origins, names = made
-    if own:
+    if spec.ontology != PAPER_ONTOLOGY:
+        graphs = [labelled(*each) for each in zip(graphs, names, strict=True)]
+    elif own:
         about["names"] = [{f"{row}": called for row, called in each.items()} for each in names]
     stated = {"seed": seed, "parts": parts, "origins": origins, "left_out": left_out}
     return _checked(spec, Dataset(graphs, about | stated), path)
@@ -348,12 +359,13 @@ def _read(path: Path) -> list[SceneGraph]:
 def _checked(spec: DatasetSpec, dataset: Dataset, path: Path) -> Dataset:
     """Refuses a data set whose graphs have other concepts, or another highest, than it should."""
     for index, graph in enumerate(dataset.graphs):
-        if ontology_of(graph) != PAPER_ONTOLOGY:
-            problem = f"has another ontology, expected the paper's as in {spec.title}"
+        if ontology_of(graph) != spec.ontology:
+            whose = "the paper's" if spec.ontology == PAPER_ONTOLOGY else "that"
+            problem = f"has another ontology, expected {whose} as in {spec.title}"
             raise ValueError(f"{path}: graph {index} {problem}")
         if (top := int(graph.nodes.label.max())) != spec.top:
             raise ValueError(
-                f"{path}: graph {index} reaches up to a {PAPER_ONTOLOGY.names[top]}, expected a "
+                f"{path}: graph {index} reaches up to a {spec.ontology.names[top]}, expected a "
                 f"{spec.levels[-1]} as in {spec.title}"
             )
     return dataset

@@ -8,6 +8,7 @@ import pytest
 
 from sg3d_jax import cli
 from sg3d_jax.data import registry
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.data.splits import split_of
 from sg3d_jax.io import npz
 from sg3d_jax.io.formats import read_with_attributes, write_graphs
@@ -284,6 +285,29 @@ def test_a_file_is_read_as_those_of_the_set_that_it_is_like(tmp_path):
         assert header[key] == theirs[key]
     with pytest.raises(ValueError, match="no key that tells what it is"):
         registry.import_file("offices", tmp_path / "plans.jsonl")
+
+
+@pytest.mark.parametrize("name", ["p-f-kinds", "flats"])
+def test_labels_of_real_rooms_are_kinds_and_views_of_the_set_keep_them(name, tmp_path):
+    rooms = [[[x, 0], [x + 3, 0], [x + 3, 4], [x, 4]] for x in (0.0, 3.1, 6.2)]
+    labels = "bedroom", "kitchen+entrance", "PS"
+    drawn = [{"poly": one, "label": label} for one, label in zip(rooms, labels, strict=True)]
+    (tmp_path / "plans.jsonl").write_text(
+        json.dumps({"building": "b", "storey": 0, "rooms": drawn})
+    )
+    like = None if name == "p-f-kinds" else "p-f-kinds"
+    graphs, header = registry.import_file(name, tmp_path / "plans.jsonl", like=like)
+    npz.save(tmp_path / "kinds.npz", graphs, header)
+    for seen_as in ("", "@clean"):
+        (graph,) = registry.load(f"{tmp_path / 'kinds.npz'}{seen_as}").graphs
+        validate_graph(graph, name)
+        concepts = FURNISHED_ONTOLOGY.concepts
+        kinds = [
+            concepts[label].kinds[int(kind) - 1]
+            for label, kind in zip(graph.nodes.label, graph.nodes.kind, strict=True)
+            if kind
+        ]
+        assert kinds == ["bedroom", "kitchen", "storage", "flat"]
 
 
 def test_one_s_own_floor_is_imported_as_it_stands_and_named(tmp_path, monkeypatch, capsys):
