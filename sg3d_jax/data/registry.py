@@ -254,6 +254,7 @@ def header(name: str, seed: int = 0) -> dict[str, object]:
         "source": spec.provenance,
         "generator": asdict(spec.config),
         "seed": seed,
+        "whole": spec.num_graphs,
     }
     return about if seen_as is None else about | {"view": asdict(VIEWS[seen_as])}
 

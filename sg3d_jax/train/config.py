@@ -22,8 +22,8 @@ class DataConfig:
     """Which graphs are trained on.
 
     Several data sets are joined by plus signs, each with its own number of graphs behind a colon,
-    if not as many as usual: "s-f+g-c:1000+p-f.npz@robot". One that is named twice counts twice. As
-    many others of a seed are dealt otherwise: among them are some that the whole set tests with.
+    if not as many as usual: "s-f+g-c:1000+p-f.npz@robot". One that is named twice counts twice. The
+    first so many graphs of a set are for the same parts as in the whole of it.
     """
 
     name: str = "s-f-square"  # a data set by name, the path of an npz file, or several

@@ -28,6 +28,21 @@ def test_the_same_seed_gives_the_same_split_and_another_seed_another():
         assert not np.array_equal(one, other)
 
 
+@pytest.mark.parametrize("num_graphs", [200, 3000, 3003, 4000])
+def test_a_part_of_a_set_or_more_of_it_is_dealt_as_the_set(num_graphs):
+    whole, parts = split(3000), split(num_graphs, whole=3000)
+    assert sorted(np.concatenate(parts).tolist()) == [*range(num_graphs)]
+    for one, of_whole in zip(parts, whole, strict=True):
+        shared = one[one < 3000]
+        assert shared.tolist() == of_whole[of_whole < num_graphs].tolist()
+        assert len(one)
+
+
+def test_so_few_that_a_part_would_be_empty_are_dealt_by_themselves():
+    for one, other in zip(split(5, whole=3000), split(5), strict=True):
+        assert one.tolist() == other.tolist()
+
+
 def test_published_results_rest_on_this_split():
     assert split(2400).test[:5].tolist() == [1863, 1546, 71, 822, 1379]
 
@@ -74,3 +89,11 @@ def test_a_file_that_states_no_parts_is_dealt_by_the_seed():
 def test_parts_that_do_not_fit_are_refused(parts):
     with pytest.raises(ValueError, match="name one of train, validation, test for each graph"):
         split_of({"parts": parts}, 2)
+
+
+@pytest.mark.parametrize("whole", ["3000", 4, True, 2.5, 10**12])
+def test_a_whole_that_is_no_number_of_graphs_is_refused(whole):
+    with pytest.raises(ValueError, match="expected a number from 5 to"):
+        split_of({"whole": whole}, 10)
+    with pytest.raises(ValueError, match="at least 5 graphs, got 3"):
+        split_of({"whole": 3000}, 3)
