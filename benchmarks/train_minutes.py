@@ -6,6 +6,8 @@ compiled in as many threads, as there are cores; with --fresh-every they are dra
 Of several devices each takes a batch of every step, and the rate grows by the square root of their
 number (docs/scaling.md). Every minute what has been learnt is written, in case the machine is taken
 back. Who goes on from weights of the same concepts keeps what those know of their training set.
+With --only-kinds nothing is learnt but kinds, of graphs that are complete; a step then costs a
+tenth, and all else stays as it was.
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """
@@ -22,7 +24,11 @@ import jax
 import numpy as np
 import optax
 
-from sg3d_jax.infer.lanes import root_key
+from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
+from sg3d_jax.flagg.kinds import Kinds, kind_loss
+from sg3d_jax.flagg.step import Flagg, Params
+from sg3d_jax.infer.lanes import Model, root_key
+from sg3d_jax.scene.graph import SceneGraph
 from sg3d_jax.train.card import card_of
 from sg3d_jax.train.config import Config
 from sg3d_jax.train.dataset import slots_of
@@ -43,6 +49,20 @@ MINUTE = 60.0  # between two times that weights are written
 ENDLESS = STEPS_A_CALL * 10**7  # steps; the clock ends a run
 
 
+@dataclasses.dataclass(frozen=True)
+class KindsAlone:
+    """The kinds of what a model grows, as something to train: `make_train_call` asks for a loss."""
+
+    kinds: Kinds
+    corruption: CorruptionConfig
+
+    def loss(self, params: Params, key: Any, graph: SceneGraph) -> Any:
+        """Returns the loss of the kinds of a complete graph, perturbed as in all training."""
+        seen = corrupt(graph, key, self.corruption)
+        loss = kind_loss(self.kinds.logits(params.kinds, seen), seen, graph)
+        return loss, {"kind": loss}
+
+
 def main() -> None:
     """Trains and writes weights."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -60,6 +80,7 @@ def main() -> None:
     parser.add_argument("--capacities", type=int, nargs="+", help="of the buckets, nodes")
     parser.add_argument("--initial", help="weights to start from")
     parser.add_argument("--data", help="other data sets than those configured")
+    parser.add_argument("--only-kinds", action="store_true", help="train nothing else")
     arguments = parser.parse_args()
     began = time.monotonic()
     said = lambda text: print(f"{time.monotonic() - began:6.1f} s  {text}", flush=True)
@@ -80,9 +101,11 @@ def main() -> None:
     schedule = optax.warmup_cosine_decay_schedule(0.0, peak, WARMUP, MOMENTS)
     one = jax.tree.map(lambda leaf: leaf[0], first_stacks[0])
     state = start_from_weights(config, init_state(config, model, one, optimiser))
+    before = jax.tree.map(np.asarray, state.params)
     mesh, state = mesh_of(config), jax.tree.map(jax.numpy.copy, state)
     state, key, stacks = on_all_devices((state, root_key(config.seed + 1), first_stacks), mesh)
-    calls = compile_calls(make_train_call(config, model, optimiser), state, key, stacks)
+    learner = kinds_alone(model) if arguments.only_kinds else model
+    calls = compile_calls(make_train_call(config, learner, optimiser), state, key, stacks)
     said("compiled")
     first, log, until = time.monotonic(), [], 0
     written, card = first, card_of(fitting)
@@ -92,7 +115,9 @@ def main() -> None:
         taken = (time.monotonic() - began) / 60
         history = f"{so_far.steps} steps in {taken:.1f} minutes on {jax.devices()[0].device_kind}"
         its_card = dataclasses.replace(card, history=history)
-        save_weights(arguments.output, so_far, statistics, state.average, its_card)
+        learnt = state.average
+        params = before._replace(kinds=learnt.kinds) if arguments.only_kinds else learnt
+        save_weights(arguments.output, so_far, statistics, params, its_card)
         lines = "\n".join(map(json.dumps, log)) + "\n"
         arguments.output.with_suffix(".log.jsonl").write_text(lines)
         said(f"{arguments.output}: {so_far.steps} steps")
@@ -137,6 +162,13 @@ def configured(given: dict[str, Any]) -> Config:
     data = dataclasses.replace(config.data, **data)
     endless = {"steps": ENDLESS, "steps_per_call": STEPS_A_CALL}
     return dataclasses.replace(config, data=data, **fields, **endless)
+
+
+def kinds_alone(model: Model) -> Any:
+    """Returns the kinds of a model as what is trained."""
+    if not isinstance(model, Flagg) or model.kinds is None:
+        raise SystemExit("--only-kinds: what this configuration grows has no kinds")
+    return KindsAlone(model.kinds, model.config.corruption)
 
 
 def known_to_initial(config: Config) -> Measured | None:
