@@ -105,13 +105,12 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
         parts = np.flatnonzero(ontology.may_be_part[draft.label, concept])
         if not len(parts):
             continue
-        ballots = [_ballot(one, draft, parts, concept) for one in candidates]
+        has_one = ontology.has_one_whole[draft.label, concept][parts]
+        ballots = [_ballot(one, draft, parts, has_one, concept) for one in candidates]
         wholes = [{*ballot} for ballot in ballots]
-        single = {
-            one for one in parts.tolist() if ontology.has_one_whole[draft.label[one], concept]
-        }
+        single = {*parts[has_one].tolist()}
         is_above = not ontology.is_observed[ontology.may_be_part[:, concept]].any()
-        by_pairs = is_above and single.issuperset(parts.tolist())
+        by_pairs = is_above and has_one.all()
         chosen = elected(wholes, start, votes_of_pairs(wholes) if by_pairs else votes_of(wholes))
         joined = adopted(chosen, wholes, single)
         settled = {one for version in chosen for one in version.parts | joined[version]} & single
@@ -136,7 +135,7 @@ def _read(graph: SceneGraph, num_given: int) -> _Candidate:
 
 
 def _ballot(
-    candidate: _Candidate, draft: _Draft, parts: np.ndarray, concept: int
+    candidate: _Candidate, draft: _Draft, parts: np.ndarray, has_one: np.ndarray, concept: int
 ) -> Mapping[Version, _Held]:
     """Returns the wholes of a concept as a candidate has them.
 
@@ -144,11 +143,16 @@ def _ballot(
       candidate: one of them.
       draft: what is chosen so far.
       parts: int[p], rows in the draft of what may be part of them; at least one.
+      has_one: bool[p], which of these have one such whole at most.
       concept: their label.
     """
     wholes = np.flatnonzero(candidate.label == concept)
     below = np.stack([draft.below[part] for part in parts]).astype(int)
-    holds = 2 * below @ candidate.below[wholes].T > below.sum(axis=1)[:, None]
+    shared = below @ candidate.below[wholes].T
+    holds = 2 * shared > below.sum(axis=1)[:, None]
+    if len(wholes):  # a door is below two: what has but doors in common is part of one of them
+        most = np.arange(len(wholes)) == shared.argmax(axis=1)[:, None]
+        holds &= most | ~has_one[:, None]
     given = parts < draft.num_given
     holds[given] = candidate.edge[parts[given]][:, wholes]
     label = np.array(draft.label)[parts]

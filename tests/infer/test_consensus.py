@@ -7,6 +7,7 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.data import registry
+from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.infer.candidates import num_flaws
 from sg3d_jax.infer.consensus import Version, consensus, elected, votes_of, votes_of_pairs
 from sg3d_jax.metrics.calibration import identities
@@ -303,3 +304,15 @@ def test_rooms_that_most_have_on_different_floors_are_not_on_one():
     ballots = [joined, joined, *wrong, right]
     assert chosen_of(ballots, 0, votes_of_pairs) == right
     assert chosen_of(ballots, 0, votes_of) == joined
+
+
+def test_a_room_with_more_doors_than_planes_is_in_one_unit():
+    """Two units, each of a room of one plane, and three doors between the rooms."""
+    names = "plane", "door", "room", "unit", "floor"
+    plane, door, a_room, unit, floor = map(FURNISHED_ONTOLOGY.label_of, names)
+    labels = [plane] * 2 + [door] * 3 + [a_room] * 2 + [unit] * 2 + [floor]
+    pairs = [(0, 5), (1, 6), *((one, other) for one in (2, 3, 4) for other in (5, 6))]
+    pairs += [(5, 7), (6, 8), (7, 9), (8, 9)]
+    graph = make_graph(labels, np.zeros((10, 3)), part_of=pairs, ontology=FURNISHED_ONTOLOGY)
+    made, _ = consensus([graph] * 3, 5)
+    assert exact_structure(made, graph)
