@@ -109,9 +109,9 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
         ballots = [_ballot(one, draft, parts, has_one, concept) for one in candidates]
         wholes = [{*ballot} for ballot in ballots]
         single = {*parts[has_one].tolist()}
-        is_above = not ontology.is_observed[ontology.may_be_part[:, concept]].any()
-        by_pairs = is_above and has_one.all()
-        chosen = elected(wholes, start, votes_of_pairs(wholes) if by_pairs else votes_of(wholes))
+        over_grown = not ontology.is_observed[ontology.may_be_part[:, concept]].any()
+        votes = votes_of_pairs if over_grown and has_one.all() else votes_of
+        chosen = elected(wholes, start, votes(wholes))
         joined = adopted(chosen, wholes, single)
         settled = {one for version in chosen for one in version.parts | joined[version]} & single
         beside = _beside(chosen, ballots, settled)
