@@ -6,8 +6,8 @@ compiled in as many threads, as there are cores; with --fresh-every they are dra
 Of several devices each takes a batch of every step, and the rate grows by the square root of their
 number (docs/scaling.md). Every minute what has been learnt is written, in case the machine is taken
 back. Who goes on from weights of the same concepts keeps what those know of their training set.
-With --only-kinds nothing is learnt but kinds, of graphs that are complete; a step then costs a
-tenth, and all else stays as it was.
+With --only-kinds nothing is learnt but kinds, of graphs that are complete; a slot then costs a
+fifteenth, and all else stays as it was.
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """

@@ -215,7 +215,7 @@ def votes_of(ballots: Sequence[AbstractSet[Version]]) -> Mapping[Version, int]:
     Args:
       ballots: the wholes of each candidate.
     """
-    holders = Counter(version for ballot in ballots for version in ballot)
+    holders = Counter(chain.from_iterable(ballots))
     return {one: (2 * held - len(ballots)) * len(one.parts) for one, held in holders.items()}
 
 
@@ -229,13 +229,13 @@ def votes_of_pairs(ballots: Sequence[AbstractSet[Version]]) -> Mapping[Version, 
     Args:
       ballots: the wholes of each candidate, no part in two.
     """
-    versions = [*{*chain.from_iterable(ballots)}]
+    holders = Counter(chain.from_iterable(ballots))
+    versions, held = [*holders], np.array([*holders.values()])
     given = {one.row for one in versions if one.row >= 0}
     place = {row: k for k, row in enumerate(given.union(*(one.parts for one in versions)))}
     has = np.zeros((len(versions), len(place)))
     for one, row in zip(versions, has, strict=True):
         row[[place[other] for other in {one.row} & given | one.parts]] = 1
-    held = np.array([sum(one in ballot for ballot in ballots) for one in versions])
     together = 2 * (has.T * held) @ has - len(ballots)
     of_given = [place[row] for row in given]
     together[of_given, of_given] = 0  # which is there in any case
