@@ -34,6 +34,7 @@ def draw_cut(
     ordering: Ordering = "H",
     layers: tuple[str, ...] = (),
     any_cuts: float = 0.0,
+    often: str = "",
 ) -> Cut:
     """Draws an order, a schedule and a step of a complete graph, and cuts it there.
 
@@ -49,6 +50,8 @@ def draw_cut(
       layers: the concepts in the order of insertion; empty for bottom-up.
       any_cuts: the share of the cuts that remove any nodes (`draw_missing`); what comes next is
         then the first of them in the order.
+      often: a concept before whose nodes every other one of the remaining cuts is made, where a
+        graph has any; empty for none.
 
     Returns:
       The cut. Its block indexes old nodes by their slots in `graph`.
@@ -67,6 +70,13 @@ def draw_cut(
     num_missing = jnp.sum((rank >= 0) & graph.nodes.mask, dtype=jnp.int32)
     schedule = draw_schedule(key_schedule, num_missing, coins, num_nodes)
     step = jax.random.randint(key_step, (), 0, schedule.num_steps + 1)
+    if often:
+        by_rank = jnp.full(num_nodes + 1, -1).at[rank].set(graph.nodes.label)
+        comes = by_rank[schedule.start] == ontology_of(graph).label_of(often)
+        comes &= jnp.arange(num_nodes) < schedule.num_steps
+        key_often, key_comes = jax.random.split(jax.random.fold_in(key, 2))
+        before = jax.random.categorical(key_comes, jnp.where(comes, 0.0, -jnp.inf))
+        step = jnp.where(jax.random.bernoulli(key_often) & jnp.any(comes), before, step)
     if any_cuts:
         step = jnp.where(any_cut, 0, step)
     complete = step == schedule.num_steps

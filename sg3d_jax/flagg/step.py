@@ -35,6 +35,7 @@ class FlaggConfig:
     layers: tuple[str, ...] = ()  # sigma_C, the order in which concepts come; empty: bottom-up
     continuations: int = 1  # blocks that may come next, trained on one encoded graph
     any_cuts: float = 0.0  # share of the training cuts that remove any nodes, not only the last
+    often: str = ""  # a concept before whose nodes half of the other training cuts are made
     corruption: CorruptionConfig = CorruptionConfig()
     width: int = 32  # of Insert, Halt and Kinds
     depth: int = 2  # GINE layers of Insert, Halt and Kinds
@@ -80,7 +81,8 @@ class Flagg:
       kinds: what kind the grown nodes of a graph are of; None if their concepts have none.
 
     Raises:
-      ValueError: the order of the layers is none of the concepts of the Fill model.
+      ValueError: the order of the layers is none of the concepts of the Fill model, or what cuts
+        are often made before is none that is grown.
     """
 
     config: FlaggConfig
@@ -90,8 +92,13 @@ class Flagg:
     kinds: Kinds | None = None
 
     def __post_init__(self) -> None:
-        """Refuses an order of other concepts."""
-        grown_layers(self.ontology, self.config.layers)
+        """Refuses an order of other concepts, and cuts before such as are not grown."""
+        layers, often = grown_layers(self.ontology, self.config.layers), self.config.often
+        if often and often not in layers:
+            raise ValueError(
+                f"flagg.often is {often!r:.40}, expected a concept that is grown: "
+                f"{', '.join(layers)}"
+            )
 
     @property
     def ontology(self) -> Ontology:
@@ -222,4 +229,5 @@ def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
 
 def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph) -> Cut:
     """Cuts a complete padded graph at a random step of a random insertion sequence."""
-    return draw_cut(graph, key, config.coins, config.ordering, config.layers, config.any_cuts)
+    order = config.ordering, config.layers
+    return draw_cut(graph, key, config.coins, *order, config.any_cuts, config.often)

@@ -6,7 +6,7 @@ import pytest
 from sg3d_jax.flagg.blocks import fewest_coins
 from sg3d_jax.flagg.removal import draw_continuations, draw_cut, draw_missing, extract_block
 from sg3d_jax.scene.graph import make_graph, undirected_edges
-from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, ROOM
+from sg3d_jax.scene.ontology import PART_OF, PLANE, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.padding import Capacity, part_of_adjacency
 from tests import own_world
 from tests.two_rooms import CAPACITY, NUM_PLANES, on_device, two_rooms, with_garbage
@@ -299,6 +299,32 @@ def test_cuts_of_any_kind__are_the_share_of_them_that_is_asked_for(any_cuts):
     draw = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=0.3)))
     sometimes = np.asarray(draw(keys_of(4, 2000)).survivors.nodes.mask)
     assert abs(share_out_of_order(sometimes) - 0.3 * share_out_of_order(always)) < 0.03
+
+
+def test_cuts_before_a_concept__are_half_of_them_and_as_often_before_each_of_its_nodes():
+    """The other half are as they would be: before a node of the concept, too, in their share."""
+    graph, label = on_device(SCENE), SCENE.nodes.label
+    draw = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), often="room")))
+    cuts = jax.tree.map(np.asarray, draw(keys_of(5, 2000)))
+    before = cuts.has_block & (cuts.block.label[:, 0] == ROOM)
+    num_rooms, num_steps = (label == ROOM).sum(), (~SCENE.nodes.observed).sum()
+    assert abs(before.mean() - (0.5 + 0.5 * num_rooms / (num_steps + 1))) < 0.03
+    here = cuts.survivors.nodes.mask[before, : len(label)]
+    assert here[:, label == WALL].all()
+    number = np.bincount(here[:, label == ROOM].sum(axis=1), minlength=num_rooms)
+    assert len(number) == num_rooms
+    np.testing.assert_allclose(number / number.sum(), 1 / num_rooms, atol=0.04)
+
+
+def test_cuts_before_a_concept_that_a_graph_lacks__are_as_they_would_be():
+    graph = on_device(make_graph([PLANE] * 2 + [ROOM] * 2, np.arange(12.0).reshape(4, 3)))
+
+    def draw(often):
+        return jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), often=often)))(
+            keys_of(6, 50)
+        )
+
+    jax.tree.map(np.testing.assert_array_equal, draw("floor"), draw(""))
 
 
 def test_a_hole__is_around_one_node():

@@ -224,3 +224,12 @@ def test_an_order_of_other_concepts__is_refused():
     ):
         make_flagg(FlaggConfig(layers=PAPER_LAYERS), AddRooms(ontology=ONTOLOGY))
     make_flagg(FlaggConfig(layers=PAPER_LAYERS), AddRooms())
+
+
+def test_cuts_before_a_concept_that_is_not_grown__are_refused():
+    sentence = (
+        r"^flagg\.often is 'plane', expected a concept that is grown: wall, room, flat, floor"
+    )
+    with pytest.raises(ValueError, match=sentence):
+        make_flagg(FlaggConfig(often="plane"), AddRooms(ontology=ONTOLOGY))
+    make_flagg(FlaggConfig(often="flat"), AddRooms(ontology=ONTOLOGY))
