@@ -6,8 +6,10 @@ compiled in as many threads, as there are cores; with --fresh-every they are dra
 Of several devices each takes a batch of every step, and the rate grows by the square root of their
 number (docs/scaling.md). Every minute what has been learnt is written, in case the machine is taken
 back. Who goes on from weights of the same concepts keeps what those know of their training set.
-With --only-kinds nothing is learnt but kinds, of graphs that are complete; a slot then costs a
-fifteenth, and all else stays as it was.
+With --only kinds nothing is learnt but kinds, of graphs that are complete; a slot then costs a
+fifteenth. With --only fill what Fill has learnt is kept alone. All else stays as it was. With
+--often unit half of the cuts come before a unit, and of graphs that have one at most there are half
+as many as of others.
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """
@@ -28,7 +30,7 @@ from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
 from sg3d_jax.flagg.kinds import Kinds, kind_loss
 from sg3d_jax.flagg.step import Flagg, Params
 from sg3d_jax.infer.lanes import Model, root_key
-from sg3d_jax.scene.graph import SceneGraph
+from sg3d_jax.scene.graph import SceneGraph, ontology_of
 from sg3d_jax.train.card import card_of
 from sg3d_jax.train.config import Config
 from sg3d_jax.train.dataset import slots_of
@@ -80,7 +82,8 @@ def main() -> None:
     parser.add_argument("--capacities", type=int, nargs="+", help="of the buckets, nodes")
     parser.add_argument("--initial", help="weights to start from")
     parser.add_argument("--data", help="other data sets than those configured")
-    parser.add_argument("--only-kinds", action="store_true", help="train nothing else")
+    parser.add_argument("--only", choices=("kinds", "fill"), help="module that may change")
+    parser.add_argument("--often", help="concept before which half of the cuts are made")
     arguments = parser.parse_args()
     began = time.monotonic()
     said = lambda text: print(f"{time.monotonic() - began:6.1f} s  {text}", flush=True)
@@ -92,6 +95,9 @@ def main() -> None:
         graphs = made_side_by_side(make, drawing.data, config.method)
     fitting = [graph for graph in graphs if slots_of(graph) <= config.capacities[-1]]
     said(f"{len(graphs)} graphs, {len(graphs) - len(fitting)} of them too large and left out")
+    if arguments.often:
+        fitting = mostly_several(fitting, arguments.often)
+        said(f"{len(fitting)} graphs, two of three with several of {arguments.often}")
     first_stacks, statistics, model = build(config, fitting, known_to_initial(config))
     shares = shares_of(first_stacks)
     sizes = [stack.nodes.mask.shape for stack in first_stacks]
@@ -104,7 +110,7 @@ def main() -> None:
     before = jax.tree.map(np.asarray, state.params)
     mesh, state = mesh_of(config), jax.tree.map(jax.numpy.copy, state)
     state, key, stacks = on_all_devices((state, root_key(config.seed + 1), first_stacks), mesh)
-    learner = kinds_alone(model) if arguments.only_kinds else model
+    learner = kinds_alone(model) if arguments.only == "kinds" else model
     calls = compile_calls(make_train_call(config, learner, optimiser), state, key, stacks)
     said("compiled")
     first, log, until = time.monotonic(), [], 0
@@ -115,8 +121,9 @@ def main() -> None:
         taken = (time.monotonic() - began) / 60
         history = f"{so_far.steps} steps in {taken:.1f} minutes on {jax.devices()[0].device_kind}"
         its_card = dataclasses.replace(card, history=history)
-        learnt = state.average
-        params = before._replace(kinds=learnt.kinds) if arguments.only_kinds else learnt
+        params, only = state.average, arguments.only
+        if only is not None:
+            params = before._replace(**{only: getattr(params, only)})
         save_weights(arguments.output, so_far, statistics, params, its_card)
         lines = "\n".join(map(json.dumps, log)) + "\n"
         arguments.output.with_suffix(".log.jsonl").write_text(lines)
@@ -161,13 +168,28 @@ def configured(given: dict[str, Any]) -> Config:
     fields |= {"capacities": tuple(given["capacities"])} if "capacities" in given else {}
     data = dataclasses.replace(config.data, **data)
     endless = {"steps": ENDLESS, "steps_per_call": STEPS_A_CALL}
+    if "often" in given:
+        if config.flagg is None:
+            raise SystemExit(f"--often: {config.method} does not grow, nothing is cut")
+        fields["flagg"] = dataclasses.replace(config.flagg, often=given["often"])
     return dataclasses.replace(config, data=data, **fields, **endless)
+
+
+def mostly_several(graphs: list[SceneGraph], concept: str) -> list[SceneGraph]:
+    """Leaves out graphs with one node of a concept at most: to half as many as have several."""
+    number = [
+        int(np.sum(graph.nodes.label == ontology_of(graph).label_of(concept))) for graph in graphs
+    ]
+    several = [graph for graph, count in zip(graphs, number, strict=True) if count > 1]
+    others = [graph for graph, count in zip(graphs, number, strict=True) if count <= 1]
+    every = max(2 * len(others) // max(len(several), 1), 1)
+    return several + others[::every]
 
 
 def kinds_alone(model: Model) -> Any:
     """Returns the kinds of a model as what is trained."""
     if not isinstance(model, Flagg) or model.kinds is None:
-        raise SystemExit("--only-kinds: what this configuration grows has no kinds")
+        raise SystemExit("--only kinds: what this configuration grows has no kinds")
     return KindsAlone(model.kinds, model.config.corruption)
 
 
