@@ -73,7 +73,6 @@ def draw_cut(
     if often:
         by_rank = jnp.full(num_nodes + 1, -1).at[rank].set(graph.nodes.label)
         comes = by_rank[schedule.start] == ontology_of(graph).label_of(often)
-        comes &= jnp.arange(num_nodes) < schedule.num_steps
         key_often, key_comes = jax.random.split(jax.random.fold_in(key, 2))
         before = jax.random.categorical(key_comes, jnp.where(comes, 0.0, -jnp.inf))
         step = jnp.where(jax.random.bernoulli(key_often) & jnp.any(comes), before, step)
