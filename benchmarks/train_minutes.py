@@ -9,7 +9,7 @@ back. Who goes on from weights of the same concepts keeps what those know of the
 With --only kinds nothing is learnt but kinds, of graphs that are complete; a slot then costs a
 fifteenth. With --only fill what Fill has learnt is kept alone. All else stays as it was. With
 --often unit half of the cuts come before a unit, and of graphs that have one at most there are half
-as many as of others.
+as many as of others; those that --fresh-every draws later come as they are.
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """
@@ -177,11 +177,12 @@ def configured(given: dict[str, Any]) -> Config:
 
 def mostly_several(graphs: list[SceneGraph], concept: str) -> list[SceneGraph]:
     """Leaves out graphs with one node of a concept at most: to half as many as have several."""
-    number = [
-        int(np.sum(graph.nodes.label == ontology_of(graph).label_of(concept))) for graph in graphs
-    ]
-    several = [graph for graph, count in zip(graphs, number, strict=True) if count > 1]
-    others = [graph for graph, count in zip(graphs, number, strict=True) if count <= 1]
+
+    def has_several(graph: SceneGraph) -> bool:
+        return np.sum(graph.nodes.label == ontology_of(graph).label_of(concept)) > 1
+
+    several = [graph for graph in graphs if has_several(graph)]
+    others = [graph for graph in graphs if not has_several(graph)]
     every = max(2 * len(others) // max(len(several), 1), 1)
     return several + others[::every]
 

@@ -71,6 +71,7 @@ def draw_cut(
     schedule = draw_schedule(key_schedule, num_missing, coins, num_nodes)
     step = jax.random.randint(key_step, (), 0, schedule.num_steps + 1)
     if often:
+        # The label at each place in the order; what has none, of rank -1 or N, shares the last.
         by_rank = jnp.full(num_nodes + 1, -1).at[rank].set(graph.nodes.label)
         comes = by_rank[schedule.start] == ontology_of(graph).label_of(often)
         key_often, key_comes = jax.random.split(jax.random.fold_in(key, 2))
