@@ -7,9 +7,10 @@ Of several devices each takes a batch of every step, and the rate grows by the s
 number (docs/scaling.md). Every minute what has been learnt is written, in case the machine is taken
 back. Who goes on from weights of the same concepts keeps what those know of their training set.
 With --only kinds nothing is learnt but kinds, of graphs that are complete; a slot then costs a
-fifteenth. With --only fill what Fill has learnt is kept alone. All else stays as it was. With
---often unit half of the cuts come before a unit, and of graphs that have one at most there are half
-as many as of others; those that --fresh-every draws later come as they are.
+fifteenth. With --only upper nothing is but the parameters of the upper layers, those from the
+concept `flagg.upper` on, on cuts of their own; of graphs that have one node of it at most there are
+half as many as of others (those that --fresh-every draws later come as they are). All else stays as
+it was.
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """
@@ -52,8 +53,19 @@ ENDLESS = STEPS_A_CALL * 10**7  # steps; the clock ends a run
 
 
 @dataclasses.dataclass(frozen=True)
+class UpperAlone:
+    """The upper layers of a model, as something to train: `make_train_call` asks for a loss."""
+
+    model: Flagg
+
+    def loss(self, params: Params, key: Any, graph: SceneGraph) -> Any:
+        """Returns the loss of the parameters of the upper layers."""
+        return self.model.upper_loss(params, key, graph)
+
+
+@dataclasses.dataclass(frozen=True)
 class KindsAlone:
-    """The kinds of what a model grows, as something to train: `make_train_call` asks for a loss."""
+    """The kinds of what a model grows, likewise."""
 
     kinds: Kinds
     corruption: CorruptionConfig
@@ -82,8 +94,7 @@ def main() -> None:
     parser.add_argument("--capacities", type=int, nargs="+", help="of the buckets, nodes")
     parser.add_argument("--initial", help="weights to start from")
     parser.add_argument("--data", help="other data sets than those configured")
-    parser.add_argument("--only", choices=("kinds", "fill"), help="module that may change")
-    parser.add_argument("--often", help="concept before which half of the cuts are made")
+    parser.add_argument("--only", choices=("kinds", "upper"), help="parameters that may change")
     arguments = parser.parse_args()
     began = time.monotonic()
     said = lambda text: print(f"{time.monotonic() - began:6.1f} s  {text}", flush=True)
@@ -95,9 +106,9 @@ def main() -> None:
         graphs = made_side_by_side(make, drawing.data, config.method)
     fitting = [graph for graph in graphs if slots_of(graph) <= config.capacities[-1]]
     said(f"{len(graphs)} graphs, {len(graphs) - len(fitting)} of them too large and left out")
-    if arguments.often:
-        fitting = mostly_several(fitting, arguments.often)
-        said(f"{len(fitting)} graphs, two of three with several of {arguments.often}")
+    if arguments.only == "upper" and config.flagg is not None and config.flagg.upper:
+        fitting = mostly_several(fitting, config.flagg.upper)
+        said(f"{len(fitting)} graphs, two of three with several of {config.flagg.upper}")
     first_stacks, statistics, model = build(config, fitting, known_to_initial(config))
     shares = shares_of(first_stacks)
     sizes = [stack.nodes.mask.shape for stack in first_stacks]
@@ -110,7 +121,7 @@ def main() -> None:
     before = jax.tree.map(np.asarray, state.params)
     mesh, state = mesh_of(config), jax.tree.map(jax.numpy.copy, state)
     state, key, stacks = on_all_devices((state, root_key(config.seed + 1), first_stacks), mesh)
-    learner = kinds_alone(model) if arguments.only == "kinds" else model
+    learner = model if arguments.only is None else alone(model, arguments.only)
     calls = compile_calls(make_train_call(config, learner, optimiser), state, key, stacks)
     said("compiled")
     first, log, until = time.monotonic(), [], 0
@@ -168,10 +179,6 @@ def configured(given: dict[str, Any]) -> Config:
     fields |= {"capacities": tuple(given["capacities"])} if "capacities" in given else {}
     data = dataclasses.replace(config.data, **data)
     endless = {"steps": ENDLESS, "steps_per_call": STEPS_A_CALL}
-    if "often" in given:
-        if config.flagg is None:
-            raise SystemExit(f"--often: {config.method} does not grow, nothing is cut")
-        fields["flagg"] = dataclasses.replace(config.flagg, often=given["often"])
     return dataclasses.replace(config, data=data, **fields, **endless)
 
 
@@ -187,11 +194,14 @@ def mostly_several(graphs: list[SceneGraph], concept: str) -> list[SceneGraph]:
     return several + others[::every]
 
 
-def kinds_alone(model: Model) -> Any:
-    """Returns the kinds of a model as what is trained."""
-    if not isinstance(model, Flagg) or model.kinds is None:
-        raise SystemExit("--only kinds: what this configuration grows has no kinds")
-    return KindsAlone(model.kinds, model.config.corruption)
+def alone(model: Model, only: str) -> Any:
+    """Returns the kinds or the upper layers of a model as what is trained."""
+    if only == "kinds" and isinstance(model, Flagg) and model.kinds is not None:
+        return KindsAlone(model.kinds, model.config.corruption)
+    if only == "upper" and isinstance(model, Flagg) and model.config.upper:
+        return UpperAlone(model)
+    lacks = {"kinds": "has no kinds", "upper": "has no upper layers (flagg.upper)"}
+    raise SystemExit(f"--only {only}: what this configuration grows {lacks[only]}")
 
 
 def known_to_initial(config: Config) -> Measured | None:

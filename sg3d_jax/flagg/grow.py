@@ -82,6 +82,7 @@ class _Growing(NamedTuple):
     reason: Array  # int32[], index into HALT_REASONS
     steps: Array  # int32[], blocks inserted
     closing: Array  # bool[], whether only the wholes that nodes lack may come
+    upper: Array  # bool[], whether the upper layers have been reached (`FlaggConfig.upper`)
 
 
 def _begun(
@@ -101,7 +102,8 @@ def _begun(
         key = jax.random.fold_in(unrolled(key), max_steps)
         halted, closing = model.halts(params, key, graph)
         reason, closing = jnp.where(is_asked & halted, HALTED, reason), is_asked & closing
-    return _Growing(graph, reason, steps, closing)
+    upper = (steps > 0) & model.ends_upper(graph)
+    return _Growing(graph, reason, steps, closing, upper)
 
 
 def _with_block(
@@ -113,13 +115,13 @@ def _with_block(
 ) -> _Growing:
     """Returns a graph with the next block, and whether that was the last one."""
     key = jax.random.fold_in(key, growing.steps)
-    grown = model.step(params, key, growing.graph, growing.closing)
-    steps = growing.steps + grown.fits
+    grown = model.step(params, key, growing.graph, growing.closing, growing.upper)
+    steps = growing.steps + (grown.fits & (grown.upper == growing.upper))
     reason = jnp.where(steps >= max_steps, jnp.int32(MAX_STEPS), RUNNING)
     reason = jnp.where(num_twins(grown.graph) > TWINS, REPEATED, reason)
     reason = jnp.where(grown.halted, HALTED, reason)
     reason = jnp.where(grown.fits, reason, CAPACITY)
-    return _Growing(grown.graph, reason, steps, grown.closing)
+    return _Growing(grown.graph, reason, steps, grown.closing, grown.upper)
 
 
 def num_twins(graph: PackedGraph) -> Int[Array, ""]:

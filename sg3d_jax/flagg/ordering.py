@@ -11,6 +11,7 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
@@ -82,6 +83,13 @@ def grown_layers(ontology: Ontology, layers: tuple[str, ...] = ()) -> list[str]:
             f"flagg.layers must name each of {', '.join(grown)} once, got {', '.join(layers)}"
         )
     return order
+
+
+def is_upper(ontology: Ontology, first: str, layers: tuple[str, ...] = ()) -> np.ndarray:
+    """Returns bool[C], which concepts are one or come after it; none if it is empty."""
+    order = grown_layers(ontology, layers)
+    upper = order[order.index(first) :] if first else []
+    return np.isin(ontology.names, upper)
 
 
 def _distance_from_start(graph: SceneGraph, key: Key[Array, ""]) -> Float[Array, " N"]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, Key
 
 from sg3d_jax.flagg.blocks import draw_schedule, insert_posterior
-from sg3d_jax.flagg.ordering import Ordering, insertion_rank
+from sg3d_jax.flagg.ordering import Ordering, insertion_rank, is_upper
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 from sg3d_jax.scene.padding import Block, masked, part_of_adjacency
 
@@ -34,7 +34,7 @@ def draw_cut(
     ordering: Ordering = "H",
     layers: tuple[str, ...] = (),
     any_cuts: float = 0.0,
-    often: str = "",
+    upper: str = "",
 ) -> Cut:
     """Draws an order, a schedule and a step of a complete graph, and cuts it there.
 
@@ -50,8 +50,8 @@ def draw_cut(
       layers: the concepts in the order of insertion; empty for bottom-up.
       any_cuts: the share of the cuts that remove any nodes (`draw_missing`); what comes next is
         then the first of them in the order.
-      often: a concept before whose nodes every other one of the remaining cuts is made, where a
-        graph has any; empty for none.
+      upper: a concept below which nothing is removed, and something is of what is not; empty for
+        cuts of all that is grown.
 
     Returns:
       The cut. Its block indexes old nodes by their slots in `graph`.
@@ -62,21 +62,19 @@ def draw_cut(
     key_order, key_schedule, key_step = jax.random.split(key, 3)
     num_nodes = graph.nodes.mask.shape[0]
     rank = insertion_rank(graph, key_order, ordering, layers)
+    missing = graph.nodes.mask
     if any_cuts:
         key_any, key_missing = jax.random.split(jax.random.fold_in(key, 1))
         any_cut = jax.random.uniform(key_any) < any_cuts
-        missing = ~any_cut | draw_missing(graph, key_missing)
+        missing &= ~any_cut | draw_missing(graph, key_missing)
+    if upper:
+        missing &= jnp.asarray(is_upper(ontology_of(graph), upper, layers))[graph.nodes.label]
+    if any_cuts or upper:
         rank = rank_of_missing(rank, missing, graph)
     num_missing = jnp.sum((rank >= 0) & graph.nodes.mask, dtype=jnp.int32)
     schedule = draw_schedule(key_schedule, num_missing, coins, num_nodes)
-    step = jax.random.randint(key_step, (), 0, schedule.num_steps + 1)
-    if often:
-        # The label at each place in the order; what has none, of rank -1 or N, shares the last.
-        by_rank = jnp.full(num_nodes + 1, -1).at[rank].set(graph.nodes.label)
-        comes = by_rank[schedule.start] == ontology_of(graph).label_of(often)
-        key_often, key_comes = jax.random.split(jax.random.fold_in(key, 2))
-        before = jax.random.categorical(key_comes, jnp.where(comes, 0.0, -jnp.inf))
-        step = jnp.where(jax.random.bernoulli(key_often) & jnp.any(comes), before, step)
+    num_cuts = jnp.maximum(schedule.num_steps, 1) if upper else schedule.num_steps + 1
+    step = jax.random.randint(key_step, (), 0, num_cuts)
     if any_cuts:
         step = jnp.where(any_cut, 0, step)
     complete = step == schedule.num_steps

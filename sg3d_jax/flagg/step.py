@@ -18,7 +18,7 @@ from sg3d_jax.flagg.corrupt import CorruptionConfig, corrupt
 from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss
 from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss
 from sg3d_jax.flagg.kinds import Kinds, kind_loss
-from sg3d_jax.flagg.ordering import Ordering, grown_layers
+from sg3d_jax.flagg.ordering import Ordering, grown_layers, is_upper
 from sg3d_jax.flagg.removal import Cut, draw_continuations, draw_cut
 from sg3d_jax.nn.kin import kin_fit
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
@@ -35,7 +35,7 @@ class FlaggConfig:
     layers: tuple[str, ...] = ()  # sigma_C, the order in which concepts come; empty: bottom-up
     continuations: int = 1  # blocks that may come next, trained on one encoded graph
     any_cuts: float = 0.0  # share of the training cuts that remove any nodes, not only the last
-    often: str = ""  # a concept before whose nodes half of the other training cuts are made
+    upper: str = ""  # concept from which on Fill has parameters of its own; empty: none
     corruption: CorruptionConfig = CorruptionConfig()
     width: int = 32  # of Insert, Halt and Kinds
     depth: int = 2  # GINE layers of Insert, Halt and Kinds
@@ -58,6 +58,17 @@ class Params(NamedTuple):
     fill: Any  # of the Fill model
     halt: Any  # of Halt
     kinds: Any = None  # of Kinds; None where what is grown has none
+    upper: Any = None  # of Fill, for `FlaggConfig.upper` and what comes after it; None for `fill`
+
+
+def with_upper(params: Params, config: FlaggConfig) -> Params:
+    """Returns parameters with those of the upper layers if a configuration has any, else without.
+
+    Where they have none yet they begin with those of Fill, and so draw what it draws.
+    """
+    if not config.upper:
+        return params._replace(upper=None)
+    return params if params.upper is not None else params._replace(upper=params.fill)
 
 
 class Growth(NamedTuple):
@@ -67,6 +78,7 @@ class Growth(NamedTuple):
     halted: Array  # bool[], Halt's decision
     fits: Array  # bool[], whether the block had room; the graph is unchanged if not
     closing: Array  # bool[], Halt would end, but something grown still lacks its whole
+    upper: Array  # bool[], whether blocks are drawn by the parameters of the upper layers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,8 +93,8 @@ class Flagg:
       kinds: what kind the grown nodes of a graph are of; None if their concepts have none.
 
     Raises:
-      ValueError: the order of the layers is none of the concepts of the Fill model, or what cuts
-        are often made before is none that is grown.
+      ValueError: the order of the layers is none of the concepts of the Fill model, or the first
+        of the upper layers is none that is grown.
     """
 
     config: FlaggConfig
@@ -92,11 +104,11 @@ class Flagg:
     kinds: Kinds | None = None
 
     def __post_init__(self) -> None:
-        """Refuses an order of other concepts, and cuts before such as are not grown."""
-        layers, often = grown_layers(self.ontology, self.config.layers), self.config.often
-        if often and often not in layers:
+        """Refuses an order of other concepts, and upper layers of what is not grown."""
+        layers, upper = grown_layers(self.ontology, self.config.layers), self.config.upper
+        if upper and upper not in layers:
             raise ValueError(
-                f"flagg.often is {often!r:.40}, expected a concept that is grown: "
+                f"flagg.upper is {upper!r:.40}, expected a concept that is grown: "
                 f"{', '.join(layers)}"
             )
 
@@ -110,11 +122,13 @@ class Flagg:
         key = unrolled(key)
         keys = jax.random.split(key, 4)
         cut = cut_graph(self.config, keys[0], graph)
+        fill = self.fill.init(keys[2], cut.survivors, cut.block)
         return Params(
             insert=self.insert.init(keys[1], cut.survivors),
-            fill=self.fill.init(keys[2], cut.survivors, cut.block),
+            fill=fill,
             halt=self.halt.init(keys[3], cut.survivors),
             kinds=self.kinds and self.kinds.init(jax.random.fold_in(key, 4), cut.survivors),
+            upper=fill if self.config.upper else None,
         )
 
     def loss(
@@ -127,26 +141,35 @@ class Flagg:
 
         Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
         """
+        key_upper = jax.random.fold_in(key, 1)
         with own_types():
-            return self._loss(params, key, in_32_bits(graph))
+            total, terms = self._loss(params, key, in_32_bits(graph))
+        if not self.config.upper:
+            return total, terms
+        upper, of_upper = self.upper_loss(params, key_upper, graph)
+        return total + upper, terms | of_upper
+
+    def upper_loss(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the loss of Fill's parameters for the upper layers, and its terms.
+
+        On a cut of their own, from which nothing below `FlaggConfig.upper` is missing: whoever
+        trains these alone, on what a model has seldom seen, leaves all else as it is.
+
+        Source: ours.
+        """
+        with own_types():
+            graph = in_32_bits(graph)
+            keys = jax.random.split(unrolled(key), 4)
+            _, _, loss, terms = self._fill_loss(params.upper, keys, graph, self.config.upper)
+        return loss, {f"upper_{name}": term for name, term in terms.items()}
 
     def _loss(
         self, params: Params, key: Key[Array, ""], graph: SceneGraph
     ) -> tuple[Float[Array, ""], Terms]:
-        key_cut, key_corrupt, key_blocks, key_fill = jax.random.split(unrolled(key), 4)
-        config, number = self.config, self.config.continuations
-        cut = cut_graph(config, key_cut, graph)
-        old = corrupt(cut.survivors, key_corrupt, config.corruption)
-        if number == 1:
-            blocks = jax.tree.map(lambda leaf: leaf[None], cut.block)
-        else:
-            blocks = draw_continuations(graph, cut, key_blocks, number, config.layers)
-
-        def fill(key: Key[Array, ""], block: Block) -> Any:  # encodes the old graph once under vmap
-            return self.fill.loss(params.fill, key, old, block)
-
-        losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
-        fill_loss, terms = jax.tree.map(jnp.mean, losses)
+        keys = jax.random.split(unrolled(key), 4)
+        cut, old, fill_loss, terms = self._fill_loss(params.fill, keys, graph)
         terms["insert"] = insert_loss(self.insert.logits(params.insert, old), cut.insert_probs)
         terms["halt"] = halt_loss(self.halt.logit(params.halt, old), cut.complete, cut.inserted)
         total = fill_loss + terms["insert"] + terms["halt"]
@@ -155,35 +178,76 @@ class Flagg:
         terms["kind"] = kind_loss(self.kinds.logits(params.kinds, old), old, cut.survivors)
         return total + terms["kind"], terms
 
+    def _fill_loss(
+        self, fill_params: Any, keys: Key[Array, "4"], graph: SceneGraph, upper: str = ""
+    ) -> tuple[Cut, SceneGraph, Float[Array, ""], Terms]:
+        """Returns a cut, its old graph as the modules see it, and Fill's loss with its terms."""
+        key_cut, key_corrupt, key_blocks, key_fill = keys
+        config, number = self.config, self.config.continuations
+        cut = cut_graph(config, key_cut, graph, upper)
+        old = corrupt(cut.survivors, key_corrupt, config.corruption)
+        if number == 1:
+            blocks = jax.tree.map(lambda leaf: leaf[None], cut.block)
+        else:
+            blocks = draw_continuations(graph, cut, key_blocks, number, config.layers)
+
+        def fill(key: Key[Array, ""], block: Block) -> Any:  # encodes the old graph once under vmap
+            return self.fill.loss(fill_params, key, old, block)
+
+        losses = jax.vmap(fill)(jax.random.split(key_fill, number), blocks)
+        return cut, old, *jax.tree.map(jnp.mean, losses)
+
     def step(
         self,
         params: Params,
         key: Key[Array, ""],
         graph: PackedGraph,
         closing: Bool[Array, ""] | bool = False,
+        upper: Bool[Array, ""] | bool = False,
     ) -> Growth:
         """Inserts one block into a packed graph and asks Halt.
+
+        Where the upper layers have parameters of their own, the first block of those is not
+        inserted: it only says that what is below them is there, and they draw what comes next.
 
         Args:
           params: of the modules.
           key: of all that is drawn.
           graph: to be grown.
           closing: whether only what gives a node the whole that it lacks may come.
+          upper: whether the block is drawn by the parameters of the upper layers.
 
         Source: paper, Eq. (flagg_transition).
+        Differs: parameters for the upper layers are ours.
         """
         key_insert, key_fill, key_halt = jax.random.split(key, 3)
         coins = self.config.coins
         size = draw_size(key_insert, self.insert.logits(params.insert, graph), coins)
         block_mask: Bool[Array, " M"] = jnp.arange(max(coins)) < size
         rules = self._rules(graph, closing) if self.config.constrained else None
-        block: Block = self.fill.sample(params.fill, key_fill, graph, block_mask, rules)
+        fill_params, upper = params.fill, jnp.asarray(upper)
+        if self.config.upper:
+            fill_params = jax.tree.map(
+                lambda own, other: jnp.where(upper, own, other), params.upper, params.fill
+            )
+        block: Block = self.fill.sample(fill_params, key_fill, graph, block_mask, rules)
         grown, fits = append_block(graph, block)
         if self.fill.kin:
             fits &= kin_fit(grown)
-        grown = jax.tree.map(lambda new, old: jnp.where(fits, new, old), grown, graph)
-        halted, closing = self.halts(params, key_halt, grown)
-        return Growth(grown, halted, fits, closing)
+        turns = ~upper & jnp.any(block.mask) & jnp.all(self._upper[block.label] | ~block.mask)
+        inserted = fits & ~turns
+        grown = jax.tree.map(lambda new, old: jnp.where(inserted, new, old), grown, graph)
+        halted, closes = self.halts(params, key_halt, grown)
+        closes = jnp.where(turns, closing, closes)
+        return Growth(grown, halted & ~turns, fits | turns, closes, upper | turns)
+
+    def ends_upper(self, graph: PackedGraph) -> Bool[Array, ""]:
+        """Returns whether the last node of a packed graph is of the upper layers."""
+        return self._upper[graph.nodes.label[jnp.sum(graph.nodes.mask) - 1]]
+
+    @property
+    def _upper(self) -> Bool[Array, " C"]:
+        return jnp.asarray(is_upper(self.ontology, self.config.upper, self.config.layers))
 
     def halts(
         self, params: Params, key: Key[Array, ""], graph: SceneGraph
@@ -227,7 +291,10 @@ def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
     return Flagg(config, insert, fill, Halt(config.width, config.depth), kinds)
 
 
-def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph) -> Cut:
-    """Cuts a complete padded graph at a random step of a random insertion sequence."""
+def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph, upper: str = "") -> Cut:
+    """Cuts a complete padded graph at a random step of a random insertion sequence.
+
+    Nothing below the concept `upper` is removed, if there is one.
+    """
     order = config.ordering, config.layers
-    return draw_cut(graph, key, config.coins, *order, config.any_cuts, config.often)
+    return draw_cut(graph, key, config.coins, *order, config.any_cuts, upper)

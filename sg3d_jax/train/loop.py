@@ -25,6 +25,7 @@ from jaxtyping import Array, Key
 
 from sg3d_jax.distributed import is_first
 from sg3d_jax.fill.protocol import Params
+from sg3d_jax.flagg.step import with_upper
 from sg3d_jax.infer.complete import complete, share_halted
 from sg3d_jax.infer.lanes import Model, root_key
 from sg3d_jax.io.files import sync
@@ -272,7 +273,8 @@ def _remark_idle_devices(directory: Path, config: Config) -> None:
 def start_from_weights(config: Config, state: TrainState) -> TrainState:
     """Returns the initial state, with the parameters of the weights that the run starts from.
 
-    Weights of other concepts are carried over (`transferred`).
+    Weights of other concepts are carried over (`transferred`). Upper layers that they have no
+    parameters of begin with those of Fill (`FlaggConfig.upper`).
 
     Raises:
       ValueError: they are of another method or of other sizes.
@@ -285,6 +287,8 @@ def start_from_weights(config: Config, state: TrainState) -> TrainState:
         if trained.config.method != config.method:
             raise AssertionError
         params = trained.params
+        if config.flagg is not None:
+            params = with_upper(params, config.flagg)
         if trained.config.ontology != config.ontology:
             concepts = trained.config.ontology, config.ontology
             params = transferred(params, concepts[0], state.params, concepts[1])

@@ -11,7 +11,7 @@ from sg3d_jax.fill.fd4 import FD4Config
 from sg3d_jax.fill.midi import MiDi, MiDiConfig
 from sg3d_jax.fill.protocol import Fill
 from sg3d_jax.flagg.grow import HALTED, RUNNING, Grown, grow
-from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg
+from sg3d_jax.flagg.step import Flagg, FlaggConfig, make_flagg, with_upper
 from sg3d_jax.metrics.oddities import Oddity, oddities
 from sg3d_jax.metrics.structure import num_forbidden_edges
 from sg3d_jax.scene.graph import SceneGraph, observed_of, ontology_of, parts_first, subgraph
@@ -52,9 +52,8 @@ FILLS = {
 def growing(fill: Fill, config: FlaggConfig, given: SceneGraph, stop: int = 14) -> list[Grown]:
     """Grows many graphs by drawn parameters; Halt would end from so many nodes on."""
     model = Flagg(config, Even(1, 1, len(config.coins)), fill, Counting(1, 1))
-    params = stop_at(stop)._replace(
-        fill=random_params(fill.init, observed(SCENE), jax.jit(all_at_once)())
-    )
+    fill_params = random_params(fill.init, observed(SCENE), jax.jit(all_at_once)())
+    params = with_upper(stop_at(stop)._replace(fill=fill_params), config)
     start = on_device(given, ROOM_FOR)
     grown = [grow_one(model, params, jax.random.key(seed), start) for seed in range(NUMBER)]
     return jax.tree.map(np.asarray, grown)
@@ -84,10 +83,10 @@ def assert_sound(graph: SceneGraph) -> None:
 
 
 @pytest.mark.parametrize("given", [NUM_PLANES, 10], ids=["planes", "a room"])
-@pytest.mark.parametrize(("fill", "coins"), [("midi", (1,)), ("fd4", (1, 4))])
-def test_what_halts__obeys_every_rule_whatever_the_parameters(fill, coins, given):
+@pytest.mark.parametrize(("fill", "coins", "upper"), [("midi", (1,), "floor"), ("fd4", (1, 4), "")])
+def test_what_halts__obeys_every_rule_whatever_the_parameters(fill, coins, upper, given):
     start = subgraph(SCENE, np.arange(given))
-    grown = growing(FILLS[fill], FlaggConfig(coins=coins), start)
+    grown = growing(FILLS[fill], FlaggConfig(coins=coins, upper=upper), start)
     graphs = halted(grown)
     assert len(graphs) > 0.8 * NUMBER
     for graph in graphs:

@@ -16,8 +16,9 @@ from sg3d_jax.flagg.grow import (
     grow_lanes,
     num_twins,
 )
+from sg3d_jax.flagg.step import Flagg, FlaggConfig
 from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, subgraph, undirected_edges
-from sg3d_jax.scene.ontology import PART_OF, PROXIMITY, ROOM
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PROXIMITY, ROOM
 from sg3d_jax.scene.padding import Block, Capacity, masked, stack, unpad
 from sg3d_jax.scene.validate import validate_graph
 from tests.growing_rooms import (
@@ -26,6 +27,8 @@ from tests.growing_rooms import (
     ONE_BY_ONE,
     AddRooms,
     AddWalls,
+    Counting,
+    Even,
     grows_rooms,
     stop_at,
 )
@@ -179,6 +182,85 @@ def test_a_model__is_shown_new_proximity_edges_and_the_part_of_edges_that_are_kn
         grown = growing(one, stop_at(count + 2), jax.random.key(2), given(scene))
         told = np.asarray(grown.graph.nodes.position)[count : count + 2]
         np.testing.assert_array_equal(told, [[near, known, count], [near, known + 4, count + 1]])
+
+
+@dataclasses.dataclass(frozen=True)
+class InLayers(AddRooms):
+    """A Fill that draws two rooms and then floors, where its parameter says."""
+
+    kin: int = 0
+
+    def sample(self, params, key, graph, mask, rules=None):
+        block: Block = super().sample(params, key, graph, mask, rules)
+        rooms = jnp.sum(graph.nodes.mask & (graph.nodes.label == ROOM))
+        label = jnp.where(mask & (rooms < 2), ROOM, jnp.where(mask, FLOOR, 0))
+        edges = jnp.zeros_like(block.edges)  # so that none repeats another
+        return block._replace(label=label, edges=edges, position=jnp.full((len(mask), 3), params))
+
+
+def in_layers(upper):
+    config = FlaggConfig(coins=(1,), constrained=False, upper=upper)
+    return Flagg(config, Even(1, 1, 1), InLayers(), Counting(1, 1))
+
+
+def drawn_by(params, graph, before):
+    """Returns which parameters drew the new nodes of a graph."""
+    return np.asarray(unpad(graph).nodes.position)[before:, 0].tolist()
+
+
+OF_BOTH = {"fill": np.float32(1), "upper": np.float32(2)}
+
+
+@pytest.mark.parametrize(
+    ("upper", "expected"), [("", [1, 1, 1, 1]), ("floor", [1, 1, 2, 2]), ("room", [2, 2, 2, 2])]
+)
+def test_upper_layers__are_drawn_by_parameters_of_their_own(upper, expected):
+    planes, key = given(observed_of(SCENE)), jax.random.key(0)
+    params = stop_at(NUM_PLANES + 4)._replace(**OF_BOTH)
+    model = in_layers(upper)
+    grown = growing(model, params, key, planes)
+    assert (grown.halt_reason, grown.steps) == (HALTED, 4)
+    assert unpad(grown.graph).nodes.label[NUM_PLANES:].tolist() == [ROOM, ROOM, FLOOR, FLOOR]
+    assert drawn_by(params, grown.graph, NUM_PLANES) == expected
+    stopped = growing(model, NEVER._replace(**OF_BOTH), key, planes, steps=LIMIT - 3)
+    assert (stopped.halt_reason, stopped.steps) == (MAX_STEPS, LIMIT)
+    assert drawn_by(params, stopped.graph, NUM_PLANES) == expected[:3]
+    side_by_side = grow_lanes(
+        model,
+        params,
+        jax.random.split(key, 3),
+        stack([observed_of(SCENE), first_planes(5), observed_of(SCENE)], ROOM_FOR),
+        np.zeros(3, np.int32),
+        LIMIT,
+        False,
+        2,
+    )
+    for index, count in ((0, 4), (1, NUM_PLANES - 1), (2, 4)):
+        one = jax.tree.map(lambda leaf, i=index: np.asarray(leaf)[i], side_by_side)
+        assert one.steps == count
+        more = expected[-1:] * (count - 4)
+        assert drawn_by(params, one.graph, NUM_PLANES + 4 - count) == expected + more
+
+
+def test_a_graph_does_not_end__where_the_upper_layers_begin():
+    """Which is no step: Halt, which would end at once, is asked after the first floor."""
+    rooms = subgraph(SCENE, np.arange(NUM_PLANES + 3))
+    num_rooms = int((rooms.nodes.label == ROOM).sum())
+    assert num_rooms == 2
+    params = stop_at(1)._replace(**OF_BOTH)
+    grown = growing(in_layers("floor"), params, jax.random.key(0), given(rooms))
+    assert (grown.halt_reason, grown.steps) == (HALTED, 1)
+    assert drawn_by(params, grown.graph, NUM_PLANES + 3) == [2]
+
+
+def test_upper_layers__go_on_in_a_larger_graph():
+    planes, key, model = observed_of(SCENE), jax.random.key(0), in_layers("floor")
+    params = stop_at(30)._replace(**OF_BOTH)
+    whole = growing(model, params, key, given(planes, LARGER))
+    part = growing(model, params, key, given(planes))
+    rest = growing(model, params, key, given(unpad(part.graph), LARGER), steps=part.steps)
+    assert (part.halt_reason, rest.halt_reason, rest.steps) == (CAPACITY, HALTED, whole.steps)
+    chex.assert_trees_all_equal(rest.graph.nodes, whole.graph.nodes)
 
 
 def test_a_graph_that_is_found_complete__is_returned_as_it_came_if_that_is_asked():

@@ -301,30 +301,42 @@ def test_cuts_of_any_kind__are_the_share_of_them_that_is_asked_for(any_cuts):
     assert abs(share_out_of_order(sometimes) - 0.3 * share_out_of_order(always)) < 0.03
 
 
-def test_cuts_before_a_concept__are_half_of_them_and_as_often_before_each_of_its_nodes():
-    """The other half are as they would be: before a node of the concept, too, in their share."""
+@pytest.mark.parametrize("any_cuts", [0.0, 0.4])
+def test_cuts_of_the_upper_layers__remove_something_of_those_and_nothing_below(any_cuts):
     graph, label = on_device(SCENE), SCENE.nodes.label
-    draw = jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), often="room")))
+    draw = jax.jit(
+        jax.vmap(lambda key: draw_cut(graph, key, (1,), any_cuts=any_cuts, upper="room"))
+    )
     cuts = jax.tree.map(np.asarray, draw(keys_of(5, 2000)))
-    before = cuts.has_block & (cuts.block.label[:, 0] == ROOM)
-    num_rooms, num_steps = (label == ROOM).sum(), (~SCENE.nodes.observed).sum()
-    assert abs(before.mean() - (0.5 + 0.5 * num_rooms / (num_steps + 1))) < 0.03
-    here = cuts.survivors.nodes.mask[before, : len(label)]
-    assert here[:, label == WALL].all()
-    number = np.bincount(here[:, label == ROOM].sum(axis=1), minlength=num_rooms)
-    assert len(number) == num_rooms
-    np.testing.assert_allclose(number / number.sum(), 1 / num_rooms, atol=0.04)
+    here = cuts.survivors.nodes.mask[:, : len(label)]
+    assert here[:, label < ROOM].all()
+    assert not cuts.survivors.nodes.mask[:, len(label) :].any()
+    missing = (~here).sum(axis=1)
+    np.testing.assert_array_equal(cuts.has_block, missing > 0)  # any cut may remove nothing
+    if not any_cuts:
+        num_upper = (label >= ROOM).sum()
+        shares = np.bincount(missing, minlength=num_upper + 1) / len(missing)
+        np.testing.assert_allclose(shares, [0] + [1 / num_upper] * num_upper, atol=0.04)
+    lowest = np.where(here, 99, label).min(axis=1)
+    np.testing.assert_array_equal(cuts.block.label[cuts.has_block, 0], lowest[cuts.has_block])
 
 
-def test_cuts_before_a_concept_that_a_graph_lacks__are_as_they_would_be():
-    graph = on_device(make_graph([PLANE] * 2 + [ROOM] * 2, np.arange(12.0).reshape(4, 3)))
-
-    def draw(often):
-        return jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), often=often)))(
+def test_the_upper_layers__are_those_of_the_order_and_a_graph_may_lack_them():
+    def draw(scene, upper, layers):
+        graph = on_device(scene)
+        return jax.jit(jax.vmap(lambda key: draw_cut(graph, key, (1,), "H", layers, upper=upper)))(
             keys_of(6, 50)
         )
 
-    jax.tree.map(np.testing.assert_array_equal, draw("floor"), draw(""))
+    top_down = ("floor", "room", "wall", "building", "city")
+    cuts = draw(SCENE, "wall", top_down)
+    here = np.asarray(cuts.survivors.nodes.mask)[:, : len(SCENE.nodes.label)]
+    assert here[:, SCENE.nodes.label >= ROOM].all()
+    assert not here[:, SCENE.nodes.label == WALL].all(axis=1).any()
+    rooms = make_graph([PLANE] * 2 + [ROOM] * 2, np.arange(12.0).reshape(4, 3))
+    without = draw(rooms, "floor", ())
+    assert not np.asarray(without.has_block).any()
+    assert np.asarray(without.complete).all()
 
 
 def test_a_hole__is_around_one_node():

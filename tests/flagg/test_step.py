@@ -40,6 +40,15 @@ class ConstantFill(AddRooms):
         return params, {"constant": params}
 
 
+@dataclasses.dataclass(frozen=True)
+class TimesLabel(AddRooms):
+    """A Fill whose loss is the label of its block, times its parameter."""
+
+    def loss(self, params, key, graph, block):
+        label = params * block.label[0]
+        return label, {"label": label}
+
+
 def test_loss__has_a_finite_gradient_that_reaches_every_module():
     fill, graph = ConstantFill(), on_device(SCENE)
     model = make_flagg(FlaggConfig(coins=(1, 2), width=4, depth=1, corruption=QUIET), fill)
@@ -55,8 +64,43 @@ def test_loss__has_a_finite_gradient_that_reaches_every_module():
     found = gradient(params)
     chex.assert_tree_all_finite(found)
     assert found.kinds is None  # the paper's concepts have none
-    for module in found[:-1]:
+    assert found.upper is None  # nor are there upper layers
+    for module in (found.insert, found.fill, found.halt):
         assert any(np.any(leaf) for leaf in jax.tree.leaves(module))
+
+
+def test_the_upper_layers__have_a_loss_of_their_own_on_cuts_of_their_own():
+    """Which is the label of the block, times the parameter."""
+    config = FlaggConfig(coins=(1,), continuations=2, corruption=QUIET, upper="room")
+    model = Flagg(config, Even(1, 1, 1), TimesLabel(), Counting(1, 1))
+    graph, keys = on_device(SCENE), jax.random.split(jax.random.key(2), 40)
+    params = NEVER._replace(fill=jnp.float32(1), upper=jnp.float32(100))
+
+    @functools.partial(jax.jit, static_argnums=0)
+    def terms_of(loss, params):
+        return jax.vmap(lambda key: loss(params, key, graph))(keys)
+
+    total, terms = jax.tree.map(np.asarray, terms_of(model.loss, params))
+    assert terms["upper_label"].min() == 100 * ROOM
+    assert WALL in terms["label"]
+    np.testing.assert_allclose(total, terms["label"] + terms["upper_label"] + terms["halt"])
+    alone, of_alone = terms_of(model.upper_loss, params)
+    np.testing.assert_array_equal(alone, of_alone["upper_label"])
+    gradient = jax.grad(lambda params: jnp.sum(terms_of(model.upper_loss, params)[0]))(params)
+    assert gradient.upper > 0
+    assert (gradient.fill, gradient.halt) == (0, 0)
+
+
+def test_upper_layers__begin_with_what_fill_knows():
+    graph = on_device(SCENE)
+    model = make_flagg(FlaggConfig(coins=(1,), upper="floor"), ConstantFill())
+    params = model.init(jax.random.key(0), graph)
+    assert params.upper == 3
+    learnt = params._replace(upper=jnp.float32(4))
+    assert step.with_upper(learnt, model.config).upper == 4
+    without = step.with_upper(learnt, FlaggConfig())
+    assert without == learnt._replace(upper=None)
+    assert step.with_upper(without, model.config).upper is without.fill
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,10 +270,10 @@ def test_an_order_of_other_concepts__is_refused():
     make_flagg(FlaggConfig(layers=PAPER_LAYERS), AddRooms())
 
 
-def test_cuts_before_a_concept_that_is_not_grown__are_refused():
+def test_upper_layers_of_what_is_not_grown__are_refused():
     sentence = (
-        r"^flagg\.often is 'plane', expected a concept that is grown: wall, room, flat, floor"
+        r"^flagg\.upper is 'plane', expected a concept that is grown: wall, room, flat, floor"
     )
     with pytest.raises(ValueError, match=sentence):
-        make_flagg(FlaggConfig(often="plane"), AddRooms(ontology=ONTOLOGY))
-    make_flagg(FlaggConfig(often="flat"), AddRooms(ontology=ONTOLOGY))
+        make_flagg(FlaggConfig(upper="plane"), AddRooms(ontology=ONTOLOGY))
+    make_flagg(FlaggConfig(upper="flat"), AddRooms(ontology=ONTOLOGY))

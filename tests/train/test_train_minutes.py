@@ -1,13 +1,26 @@
 """What is asked of a training on a clock, and the graphs that it takes."""
 
-from types import SimpleNamespace
+import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.train_minutes import configured, kinds_alone, mostly_several
+from benchmarks.train_minutes import alone, configured, mostly_several
+from sg3d_jax.flagg.step import FlaggConfig, make_flagg
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.ontology import PLANE, ROOM
+from tests.growing_rooms import AddRooms, grows_rooms, stop_at
+from tests.two_rooms import on_device, two_rooms
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted(AddRooms):
+    """A Fill whose loss is its parameter."""
+
+    def loss(self, params, key, graph, block):
+        return params, {"w": params}
 
 
 def with_rooms(number):
@@ -30,23 +43,29 @@ def test_two_graphs_of_three__have_several_of_a_concept(others, expected):
 def test_what_is_given_at_the_shell__takes_the_place_of_what_is_configured():
     given = {
         "config": "midi-furnished",
-        "often": "unit",
         "views": 1,
         "capacities": [96],
         "batch": 4,
     }
     config, own = configured(given), configured({"config": "midi-furnished"})
-    assert (own.flagg.often, own.data.views, own.batch) == ("", 2, 16)
-    assert (config.flagg.often, config.data.views, config.batch) == ("unit", 1, 4)
+    assert (own.data.views, own.batch) == (2, 16)
+    assert (config.data.views, config.batch) == (1, 4)
     assert config.capacities == (96,)
     assert (config.data.name, config.batch_nodes) == (own.data.name, own.batch_nodes)
 
 
-def test_kinds_alone_of_what_grows_none__are_refused():
-    with pytest.raises(SystemExit, match=r"^--only kinds: what this configuration grows has no "):
-        kinds_alone(SimpleNamespace(kinds=None))
+@pytest.mark.parametrize(
+    ("only", "lacks"),
+    [("kinds", "has no kinds"), ("upper", r"has no upper layers \(flagg\.upper\)")],
+)
+def test_what_a_configuration_lacks__cannot_be_trained_alone(only, lacks):
+    for model in (grows_rooms(1), AddRooms()):
+        with pytest.raises(SystemExit, match=rf"^--only {only}: what .* grows {lacks}"):
+            alone(model, only)
 
 
-def test_cuts_of_what_does_not_grow__are_refused():
-    with pytest.raises(SystemExit, match=r"^--often: ec-l does not grow, nothing is cut$"):
-        configured({"config": "ec-l-s-f", "often": "room"})
+def test_the_upper_layers_alone__have_their_loss():
+    model = make_flagg(FlaggConfig(coins=(1,), upper="floor"), Wanted())
+    params, graph = stop_at(9)._replace(upper=jnp.float32(7)), on_device(two_rooms())
+    loss, terms = alone(model, "upper").loss(params, jax.random.key(0), graph)
+    assert (float(loss), {name: float(term) for name, term in terms.items()}) == (7, {"upper_w": 7})
