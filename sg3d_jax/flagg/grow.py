@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.sharding import Mesh, PartitionSpec
-from jaxtyping import Array, Int, Key
+from jaxtyping import Array, Bool, Int, Key
 
 from sg3d_jax.diffusion.threefry import unrolled
 from sg3d_jax.fill.constraints import num_parts, upwards
@@ -71,8 +71,14 @@ def grow(
     check_grows(model, params)
     with own_types():
         begun = _begun(model, params, key, given, max_steps, ask_first, steps)
-        step = functools.partial(_with_block, model, params, unrolled(key), max_steps)
-        return _ended(jax.lax.while_loop(lambda growing: growing.reason == RUNNING, step, begun))
+
+        def layers(growing: _Growing) -> _Growing:  # all below the upper ones, or all of those
+            chosen, upper = model.drawing(params, growing.upper), growing.upper
+            step = functools.partial(_with_block, model, chosen, unrolled(key), max_steps)
+            goes_on = lambda growing: _runs(growing) & (growing.upper == upper)
+            return jax.lax.while_loop(goes_on, step, growing)
+
+        return _ended(jax.lax.while_loop(_runs, layers, begun))
 
 
 class _Growing(NamedTuple):
@@ -83,6 +89,10 @@ class _Growing(NamedTuple):
     steps: Array  # int32[], blocks inserted
     closing: Array  # bool[], whether only the wholes that nodes lack may come
     upper: Array  # bool[], whether the upper layers have been reached (`FlaggConfig.upper`)
+
+
+def _runs(growing: _Growing) -> Bool[Array, ""]:
+    return growing.reason == RUNNING
 
 
 def _begun(
@@ -202,7 +212,8 @@ def _lanes_grown(
         return scene._replace(reason=jnp.where(steps >= max_steps, MAX_STEPS, scene.reason))
 
     def with_block(key: Key[Array, ""], growing: _Growing) -> _Growing:
-        return _with_block(model, params, unrolled(key), max_steps, growing)
+        chosen = model.drawing(params, growing.upper)
+        return _with_block(model, chosen, unrolled(key), max_steps, growing)
 
     def step(state: tuple[_Growing, Array, Array]) -> tuple[_Growing, Array, Array]:
         scenes, places, first_waiting = state

@@ -4,6 +4,7 @@ Source: paper, Eq. (flagg_transition).
 """
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -211,11 +212,11 @@ class Flagg:
         inserted: it only says that what is below them is there, and they draw what comes next.
 
         Args:
-          params: of the modules.
+          params: of the modules, `fill` being what the block is drawn by (`drawing`).
           key: of all that is drawn.
           graph: to be grown.
           closing: whether only what gives a node the whole that it lacks may come.
-          upper: whether the block is drawn by the parameters of the upper layers.
+          upper: whether those are the parameters of the upper layers.
 
         Source: paper, Eq. (flagg_transition).
         Differs: parameters for the upper layers are ours.
@@ -225,21 +226,24 @@ class Flagg:
         size = draw_size(key_insert, self.insert.logits(params.insert, graph), coins)
         block_mask: Bool[Array, " M"] = jnp.arange(max(coins)) < size
         rules = self._rules(graph, closing) if self.config.constrained else None
-        fill_params, upper = params.fill, jnp.asarray(upper)
-        if self.config.upper:
-            fill_params = jax.tree.map(
-                lambda own, other: jnp.where(upper, own, other), params.upper, params.fill
-            )
-        block: Block = self.fill.sample(fill_params, key_fill, graph, block_mask, rules)
+        block: Block = self.fill.sample(params.fill, key_fill, graph, block_mask, rules)
         grown, fits = append_block(graph, block)
         if self.fill.kin:
             fits &= kin_fit(grown)
+        upper = jnp.asarray(upper)
         turns = ~upper & jnp.any(block.mask) & jnp.all(self._upper[block.label] | ~block.mask)
         inserted = fits & ~turns
         grown = jax.tree.map(lambda new, old: jnp.where(inserted, new, old), grown, graph)
         halted, closes = self.halts(params, key_halt, grown)
         closes = jnp.where(turns, closing, closes)
         return Growth(grown, halted & ~turns, fits | turns, closes, upper | turns)
+
+    def drawing(self, params: Params, upper: Bool[Array, ""]) -> Params:
+        """Returns the parameters with those in the place of `fill` that draw blocks now."""
+        if not self.config.upper:
+            return params
+        choose = functools.partial(jnp.where, upper)
+        return params._replace(fill=jax.tree.map(choose, params.upper, params.fill))
 
     def ends_upper(self, graph: PackedGraph) -> Bool[Array, ""]:
         """Returns whether the last node of a packed graph is of the upper layers."""
