@@ -3,13 +3,15 @@
 It starts from the general weights: what they know of planes, walls, rooms and all above them is
 carried over by the names of the concepts. On a clock: `benchmarks/train_minutes.py`. The weights
 that come with the package then went on from there, `--initial midi-furnished`, with other views:
-`--views 1 --data o-f:2500+o-c:700+o-f:2500@robot+o-c:700@robot+o-f:1500@robot_bare`; and their
-kinds, of real floors too, with `--only kinds` (RESULTS.md has the command).
+`--views 1 --data o-f:2500+o-c:700+o-f:2500@robot+o-c:700@robot+o-f:1500@robot_bare`; their kinds,
+of real floors too, with `--only kinds`; and units and what is above them with `--only upper`
+(RESULTS.md has the commands).
 """
 
 import dataclasses
 
 from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
+from sg3d_jax.flagg.step import FlaggConfig
 from sg3d_jax.train.config import Config, DataConfig, OptimiserConfig
 from sg3d_jax.train.presets import find_config
 
@@ -22,6 +24,7 @@ CONFIG: Config = dataclasses.replace(
         name="+".join([*SETS, *(f"{name}@robot" for name in SETS)]), title="furnished", views=2
     ),
     ontology=FURNISHED_ONTOLOGY,
+    flagg=dataclasses.replace(GENERAL.flagg or FlaggConfig(), upper="unit"),
     initial="midi-general",
     optimiser=OptimiserConfig(learning_rate=5e-4, warmup_steps=200),
     steps=10_000,

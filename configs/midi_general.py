@@ -34,6 +34,7 @@ CONFIG = Config(
         coins=(1,),
         continuations=8,
         any_cuts=0.15,
+        upper="floor",
         corruption=CorruptionConfig(p_add=0.0, added_per_node=0.01),
     ),
     model=MiDiConfig(
