@@ -11,6 +11,7 @@ import numpy.testing as npt
 import optax
 import pytest
 
+from sg3d_jax.flagg.step import with_upper
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.infer.lanes import root_key
 from sg3d_jax.io.formats import read_graphs, write_graphs
@@ -31,7 +32,7 @@ from sg3d_jax.train.loop import (
 )
 from sg3d_jax.train.statistics import shares_of
 from sg3d_jax.train.step import init_state, make_train_call
-from sg3d_jax.train.weights import load_weights
+from sg3d_jax.train.weights import load_weights, save_weights
 from tests import command_line
 from tests.own_world import FLAT, NUM_OBSERVED, ONTOLOGY, PILLAR, own_world
 from tests.tiny_run import read_config, untrained_weights
@@ -430,6 +431,27 @@ def test_a_run_starts_from_weights_with_a_fresh_optimiser(programs):
     assert state.optimiser is programs.initial.optimiser
     assert state.step == 0
     assert start_from_weights(programs.run.config, programs.initial) is programs.initial
+
+
+def test_upper_layers_start_from_weights_that_have_none_and_are_left_out_where_none_are_wanted(
+    programs, tmp_path
+):
+    known, plain = load_weights(str(programs.directory / "weights.npz")), programs.run.config
+    flagg = dataclasses.replace(plain.flagg, upper="floor")
+    config = dataclasses.replace(
+        plain, flagg=flagg, initial=str(programs.directory / "weights.npz")
+    )
+    template = programs.initial._replace(params=with_upper(programs.initial.params, flagg))
+    params = start_from_weights(config, template).params
+    for own in (params.upper, params.fill):
+        jax.tree.map(npt.assert_array_equal, own, known.params.fill)
+    learnt = params._replace(upper=jax.tree.map(lambda leaf: leaf + 1, params.upper))
+    path = save_weights(tmp_path / "upper.npz", config, known.statistics, learnt)
+    again = start_from_weights(dataclasses.replace(config, initial=str(path)), template).params
+    jax.tree.map(npt.assert_array_equal, again, learnt)
+    without = dataclasses.replace(plain, initial=str(path))
+    params = start_from_weights(without, programs.initial).params
+    jax.tree.map(npt.assert_array_equal, params, known.params)
 
 
 @pytest.mark.parametrize("other", ["ec-square", "fd4-s-f"])
