@@ -203,7 +203,7 @@ def in_layers(upper):
     return Flagg(config, Even(1, 1, 1), InLayers(), Counting(1, 1))
 
 
-def drawn_by(params, graph, before):
+def drawn_by(graph, before):
     """Returns which parameters drew the new nodes of a graph."""
     return np.asarray(unpad(graph).nodes.position)[before:, 0].tolist()
 
@@ -221,10 +221,10 @@ def test_upper_layers__are_drawn_by_parameters_of_their_own(upper, expected):
     grown = growing(model, params, key, planes)
     assert (grown.halt_reason, grown.steps) == (HALTED, 4)
     assert unpad(grown.graph).nodes.label[NUM_PLANES:].tolist() == [ROOM, ROOM, FLOOR, FLOOR]
-    assert drawn_by(params, grown.graph, NUM_PLANES) == expected
+    assert drawn_by(grown.graph, NUM_PLANES) == expected
     stopped = growing(model, NEVER._replace(**OF_BOTH), key, planes, steps=LIMIT - 3)
     assert (stopped.halt_reason, stopped.steps) == (MAX_STEPS, LIMIT)
-    assert drawn_by(params, stopped.graph, NUM_PLANES) == expected[:3]
+    assert drawn_by(stopped.graph, NUM_PLANES) == expected[:3]
     side_by_side = grow_lanes(
         model,
         params,
@@ -239,7 +239,7 @@ def test_upper_layers__are_drawn_by_parameters_of_their_own(upper, expected):
         one = jax.tree.map(lambda leaf, i=index: np.asarray(leaf)[i], side_by_side)
         assert one.steps == count
         more = expected[-1:] * (count - 4)
-        assert drawn_by(params, one.graph, NUM_PLANES + 4 - count) == expected + more
+        assert drawn_by(one.graph, NUM_PLANES + 4 - count) == expected + more
 
 
 def test_a_graph_does_not_end__where_the_upper_layers_begin():
@@ -250,7 +250,7 @@ def test_a_graph_does_not_end__where_the_upper_layers_begin():
     params = stop_at(1)._replace(**OF_BOTH)
     grown = growing(in_layers("floor"), params, jax.random.key(0), given(rooms))
     assert (grown.halt_reason, grown.steps) == (HALTED, 1)
-    assert drawn_by(params, grown.graph, NUM_PLANES + 3) == [2]
+    assert drawn_by(grown.graph, NUM_PLANES + 3) == [2]
 
 
 def test_upper_layers__go_on_in_a_larger_graph():
