@@ -77,7 +77,8 @@ class Growth(NamedTuple):
 
     graph: PackedGraph  # with the block, if it fitted
     halted: Array  # bool[], Halt's decision
-    fits: Array  # bool[], whether the block had room; the graph is unchanged if not
+    # bool[], whether the block had room; the graph is unchanged if not, and where `upper` begins
+    fits: Array
     closing: Array  # bool[], Halt would end, but something grown still lacks its whole
     upper: Array  # bool[], whether blocks are drawn by the parameters of the upper layers
 

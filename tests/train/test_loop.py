@@ -436,11 +436,9 @@ def test_a_run_starts_from_weights_with_a_fresh_optimiser(programs):
 def test_upper_layers_start_from_weights_that_have_none_and_are_left_out_where_none_are_wanted(
     programs, tmp_path
 ):
-    known, plain = load_weights(str(programs.directory / "weights.npz")), programs.run.config
-    flagg = dataclasses.replace(plain.flagg, upper="floor")
-    config = dataclasses.replace(
-        plain, flagg=flagg, initial=str(programs.directory / "weights.npz")
-    )
+    weights, plain = str(programs.directory / "weights.npz"), programs.run.config
+    known, flagg = load_weights(weights), dataclasses.replace(plain.flagg, upper="floor")
+    config = dataclasses.replace(plain, flagg=flagg, initial=weights)
     template = programs.initial._replace(params=with_upper(programs.initial.params, flagg))
     params = start_from_weights(config, template).params
     for own in (params.upper, params.fill):
