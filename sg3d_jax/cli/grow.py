@@ -77,7 +77,8 @@ def complete(
       until: leave out of the result what is above this concept, such as room.
       without: leave these concepts out of the result, such as wall.
       normals: turn those that point out of rooms all over, or take all as given.
-      cut: cut planes that rooms share where walls abut, and join the pieces again, or never.
+      cut: cut planes that rooms share where walls abut, and join the pieces again, and leave alone
+        what shows a face again that an earlier plane shows; or never.
       lanes: scenes that a device grows together; results do not depend on it, but for rounding.
       columns: for planes as CSV, the names of its columns and what they are, such as
         x=cx,y=cy,length=width.

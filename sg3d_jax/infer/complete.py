@@ -34,7 +34,8 @@ class Completion(NamedTuple):
     source: np.ndarray  # int[k], row in the scene of each node that was given
     confidence: Confidence  # how sure it is; HALTED says nothing about it
     remarks: tuple[str, ...]  # what was mended, is not plausible, or unsure; one sentence each
-    pieces: np.ndarray  # int[observed], into how many each was cut; a piece may have its own room
+    # int[observed], into how many each was cut; a piece may have its own room. 0: seen twice
+    pieces: np.ndarray
     # How likely each is right, 0 to 1; what was given has 1. None if one graph was drawn.
     node_confidence: np.ndarray | None = None  # float64[n]
     edge_confidence: np.ndarray | None = None  # float64[e], of the rows of `parts_first(graph)`
@@ -125,7 +126,8 @@ def complete(
       names: what a refusal calls each scene, such as "planes.jsonl: line 3".
       normals: "check" to turn normals that point out of rooms all over, "as-given" to turn none.
       cut: "auto" to cut planes that several rooms share where other walls abut, and to join the
-        pieces again; "never" to leave them whole.
+        pieces again, and to leave alone what shows a face again that an earlier plane shows;
+        "never" to take all as they are.
 
     Returns:
       For every scene, in order, its samples.
@@ -267,7 +269,8 @@ def _completions(
         graph = whole_again(scene, graph)
         graph = graph if chances[-1] is None else with_kinds(graph, chances[-1])
         kept.append(voters[index]._replace(graph=graph))
-    judgements = judged([one.graph for one in kept], drawn, scene.num_given)
+    graphs = [one.graph for one in kept]
+    judgements = judged(graphs, drawn, scene.num_given, scene.set_aside)
     return [
         Completion(
             one.graph,

@@ -70,7 +70,10 @@ class _Doubt(NamedTuple):
 
 
 def judged(
-    graphs: Sequence[SceneGraph], drawn: Sequence[SceneGraph], num_given: int
+    graphs: Sequence[SceneGraph],
+    drawn: Sequence[SceneGraph],
+    num_given: int,
+    set_aside: Sequence[int] | np.ndarray = (),
 ) -> list[Judgement]:
     """Returns how sure some graphs of one scene are, and what to say of it.
 
@@ -81,6 +84,7 @@ def judged(
       graphs: host graphs that were completed of the scene.
       drawn: all that were drawn of it; `graphs` are some of them, or made of them.
       num_given: how many of their first nodes were given: they, and edges between them, are sure.
+      set_aside: rows of nodes that were given and not grown from: they lack nothing.
     """
     several = len(drawn) > 1  # one alone tells nothing of its nodes and edges
     every = {id(graph): graph for graph in (*drawn, *graphs)} if several else {}
@@ -99,7 +103,7 @@ def judged(
             of_edges = likely([edges[one] for one in own.of_edges], len(drawn))
             of_nodes[:num_given] = 1.0
             of_edges[(parts_first(graph) < num_given).all(axis=1)] = 1.0
-        doubts = list(_doubts(graph))
+        doubts = list(_doubts(graph, set_aside))
         shares = {field: _share(doubts, field) for field in Confidence._fields[:3]}
         confidence = Confidence(**shares, agreement=agreement)
         remarks = tuple(_remarks(confidence, doubts))
@@ -133,12 +137,13 @@ def _remarks(confidence: Confidence, doubts: Sequence[_Doubt]) -> Iterator[str]:
         yield f"unsure: other samples have {confidence.agreement:.0%} of what was grown"
 
 
-def _doubts(graph: SceneGraph) -> Iterator[_Doubt]:
+def _doubts(graph: SceneGraph, set_aside: Sequence[int] | np.ndarray) -> Iterator[_Doubt]:
     """Yields, for each concept, how many of its nodes lack what they should have."""
     ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
     part, whole = parts_first(graph).T
     due = _wholes_that_are_due(ontology)
     placed = np.bincount(part[due[label[part], label[whole]]], minlength=len(label)) > 0
+    placed[np.asarray(set_aside, int)] = True
     grouped = np.bincount(whole[ontology.is_observed[label[part]]], minlength=len(label))
     for kind in _labels(ontology.is_observed & due.any(axis=1)):
         yield _without_whole("unplaced", ontology, kind, due, ~placed[label == kind])

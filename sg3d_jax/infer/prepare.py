@@ -3,7 +3,7 @@
 And the way back: what was given leaves as it came, bit for bit, with what was grown behind it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -43,11 +43,19 @@ class Scene(NamedTuple):
 
     @property
     def num_pieces(self) -> np.ndarray:
-        """int[observed], into how many pieces each observed node is cut; 1 if it is whole."""
+        """int[observed], into how many pieces each observed node is cut; 1 if it is whole.
+
+        0 if it shows again what another one does, and is not grown from.
+        """
         observed = np.asarray(self.given.nodes.observed)
         if self.pieces is None:
             return np.ones(int(observed.sum()), int)
         return np.bincount(self.pieces.owner, minlength=len(observed))[observed]
+
+    @property
+    def set_aside(self) -> np.ndarray:
+        """int[s], the rows of `given` that are observed and not grown from."""
+        return np.flatnonzero(self.given.nodes.observed)[self.num_pieces == 0]
 
 
 def prepare(
@@ -66,7 +74,8 @@ def prepare(
       keep: whether everything in a scene is given, such as known rooms, or its observed nodes only.
       names: what a refusal calls each scene; "scene 0", "scene 1" and so on by default.
       normals: "check" to turn those that are flipped all over, "as-given" to turn none.
-      cut: "auto" to cut planes where other walls abut, "never" to leave them whole.
+      cut: "auto" to cut planes where other walls abut and to set aside what was seen again, "never"
+        to take all as they are.
 
     Raises:
       ValueError: one sentence that names the scene, the node, the field and what was expected.
@@ -100,9 +109,7 @@ def _prepared(
     given, source, remarks = taken_in(scene if keep else observed_of(scene), where, normals)
     pieces = _pieces(given) if cut == "auto" else None
     if pieces is not None:
-        num_cut, plural = int(np.sum(np.bincount(pieces.owner) > 1)), ontology.observed_plural
-        said = f"cut {num_cut} of {int(observed.sum())} {plural} where others abut on them"
-        remarks = (*remarks, f"{said}, and joined them again")
+        remarks = (*remarks, *_remarks(pieces, given))
     in_pieces = given if pieces is None else of_pieces(given, pieces)
     centre = centre_of_observed(in_pieces)
     return Scene(
@@ -121,7 +128,17 @@ def _prepared(
 def _pieces(given: SceneGraph) -> Pieces | None:
     """Returns what observed nodes are cut into, or None if none is cut."""
     pieces = cut_observed(given)
-    return pieces if len(pieces.owner) > np.sum(given.nodes.observed) else None
+    return None if np.array_equal(pieces.owner, np.flatnonzero(given.nodes.observed)) else pieces
+
+
+def _remarks(pieces: Pieces, given: SceneGraph) -> Iterator[str]:
+    """Yields what was done to the observed nodes of a scene, one sentence each."""
+    counts = np.bincount(pieces.owner, minlength=len(given.nodes.label))[given.nodes.observed]
+    out_of = f"of {len(counts)} {ontology_of(given).observed_plural}"
+    if again := int(np.sum(counts == 0)):
+        yield f"left {again} {out_of} alone, which show again what one before them does"
+    if cut := int(np.sum(counts > 1)):
+        yield f"cut {cut} {out_of} where others abut on them, and joined them again"
 
 
 def in_place(scene: Scene, grown: SceneGraph) -> SceneGraph:

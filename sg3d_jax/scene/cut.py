@@ -17,6 +17,11 @@ that it crosses there go beyond by the same share of their widths; lines of wall
 is so to the centimetre, widths are no evidence: what hangs together with it by planes that cross is
 not cut, nor does it cut anything.
 
+A map also holds some faces twice, where one that was seen again was not known for it. Such a plane
+lies where one before it does, to a centimetre or two and to half a degree, and is left out: it is
+of no room, as in S-Graphs, which makes its rooms of the earlier ones. What lies farther off is a
+plane of its own, for two faces may be so close.
+
 Source: the reasoning node of S-Graphs splits planes that serve several rooms before it infers, and
 maps the result back.
 Differs: the rules are ours. That the planes which face a plane end, or step back, is no reason for
@@ -60,6 +65,10 @@ class CutRules:
         plane by so much farther from its ends.
       even: how well the overhangs of planes agree that were shrunk but kept their widths, metres.
         What a robot measures does not agree so well.
+      again: how far apart, in metres,
+      skew: and by how much turned, in radians, planes may be that are one seen twice,
+      drawn: if they do not agree to so many metres and radians. No two sightings do: who drew such
+        planes meant two.
     """
 
     lost: float = 0.67
@@ -74,13 +83,19 @@ class CutRules:
     least: float = 0.25
     heading: float = 0.03
     even: float = 0.01
+    again: float = 0.02
+    skew: float = 0.0087
+    drawn: float = 1e-4
 
 
 CUTS: Final = CutRules()
 
 
 class Pieces(NamedTuple):
-    """What the observed nodes are cut into; those of one lie side by side in their order."""
+    """What the observed nodes are cut into; those of one lie side by side in their order.
+
+    A node that shows what one before it does has none.
+    """
 
     owner: np.ndarray  # int[k], row of the observed node that each is a piece of, nondecreasing
     position: np.ndarray  # float[k, 3], middle, metres
@@ -141,16 +156,18 @@ def cut_observed(graph: SceneGraph, rules: CutRules = CUTS) -> Pieces:
       rules: what counts as a wall that meets a plane.
 
     Returns:
-      Of a node that is not cut one piece, its position and width bit for bit; of others more.
+      Of a node that is not cut one piece, its position and width bit for bit; of others more, and
+      none of planes that are seen a second time.
     """
     nodes, ontology = graph.nodes, ontology_of(graph)
     observed = np.flatnonzero(nodes.observed)
     is_plane = ontology.has("normal") & ontology.has("width")
     rows = observed[is_plane[nodes.label[observed]]]
-    x, y, height = nodes.position[rows].T
-    normal = nodes.normal[rows, 0] + 1j * nodes.normal[rows, 1]
-    planes = _Planes(x + 1j * y, normal, nodes.width[rows] / 2, height)
     free = ~np.isin(rows, undirected_edges(graph, PART_OF))
+    again = free & _seen_again(_planes_of(graph, rows), nodes.label[rows], rules)
+    observed = np.setdiff1d(observed, rows[again])
+    rows, free = rows[~again], free[~again]
+    planes = _planes_of(graph, rows)
     cuts = _cuts(planes, free, rules)
     owner = np.sort(np.concatenate([observed, rows[cuts.plane]]))
     position, width = nodes.position[owner], nodes.width[owner]
@@ -225,6 +242,27 @@ def _rows_of(graph: SceneGraph, pieces: Pieces) -> np.ndarray:
     return np.concatenate([pieces.owner, np.flatnonzero(~graph.nodes.observed)])
 
 
+def _planes_of(graph: SceneGraph, rows: np.ndarray) -> _Planes:
+    """Returns some nodes of a graph that have a normal and a width, from above."""
+    nodes = graph.nodes
+    x, y, height = nodes.position[rows].T
+    normal = nodes.normal[rows, 0] + 1j * nodes.normal[rows, 1]
+    return _Planes(x + 1j * y, normal, nodes.width[rows] / 2, height)
+
+
+def _seen_again(planes: _Planes, label: np.ndarray, rules: CutRules) -> np.ndarray:
+    """Returns bool[n], which planes show nothing but what one before them does."""
+    lies = planes.half + rules.touch
+    first, later = np.nonzero(np.triu(_near(planes, lies[:, None], rules), 1))
+    views = _views(planes, first, later)
+    aside, skew = np.abs(views.front), np.abs(views.slope)
+    agree = (views.cosine > 0) & (aside <= rules.again) & (skew <= rules.skew)
+    measured = np.maximum(aside, skew) > rules.drawn
+    within = np.abs(views.along) + planes.half[later] <= lies[first]
+    alike = label[first] == label[later]
+    return np.isin(np.arange(len(label)), later[agree & measured & within & alike])
+
+
 def _cuts(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Cuts:
     """Returns where planes are cut, of those that are free to be."""
     met = _meetings(planes, free, rules)
@@ -269,13 +307,20 @@ def _crossing(planes: _Planes, rules: CutRules) -> tuple[np.ndarray, np.ndarray]
     """
     widest = np.maximum(rules.gap, 2 * rules.share * planes.half)
     reach = planes.half + widest / np.sqrt(1 - rules.parallel**2)
-    reach = reach[:, None] + reach
+    plane, other = np.nonzero(_near(planes, reach[:, None] + reach, rules))
+    crosses = np.abs(_views(planes, plane, other).cosine) < rules.parallel
+    return plane[crosses], other[crosses]
+
+
+def _near(planes: _Planes, reach: np.ndarray, rules: CutRules) -> np.ndarray:
+    """Returns bool[n, n], which planes of one storey have middles no farther apart than `reach`.
+
+    Along x and along y, each on its own.
+    """
     is_near = np.abs(planes.height[:, None] - planes.height) <= rules.storey
     for axis in (planes.middle.real, planes.middle.imag):
         is_near &= np.abs(axis[:, None] - axis) <= reach
-    plane, other = np.nonzero(is_near)
-    crosses = np.abs(_views(planes, plane, other).cosine) < rules.parallel
-    return plane[crosses], other[crosses]
+    return is_near
 
 
 def _views(planes: _Planes, plane: np.ndarray, other: np.ndarray) -> _Views:

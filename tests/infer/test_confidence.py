@@ -57,6 +57,14 @@ def test_complete_graphs_of_other_concepts_are_sure():
     assert alone(own_world()) == (SURE, ())
 
 
+def test_what_was_not_grown_from_lacks_nothing():
+    graph = without(two_rooms(), (0, WEST), (2, WEST))
+    for set_aside, unplaced in (((), 0.25), ((0,), 0.125), ((0, 2), 0.0)):
+        [one] = judged([graph], [graph], NUM_PLANES, set_aside)
+        assert one.confidence.unplaced == unplaced
+        assert any("without a room" in remark for remark in one.remarks) == (unplaced > 0)
+
+
 def test_planes_without_a_room_are_counted():
     confidence, remarks = alone(without(two_rooms(), (0, WEST), (5, EAST), (7, EAST)))
     assert confidence == SURE._replace(unplaced=3 / 8)

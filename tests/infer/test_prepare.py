@@ -148,6 +148,34 @@ def test_a_plane_that_rooms_share_is_cut_and_comes_back_whole():
     assert len(scene.centred.nodes.label) == 7
 
 
+def test_a_plane_that_was_seen_twice_is_grown_from_once_and_comes_back_alone():
+    given = shared_wall()
+    rows = [*range(7), 6]
+    position = given.nodes.position[rows]
+    position[7] += [0.0, 0.01, 0.2]
+    twice = planes(position, given.nodes.normal[rows], given.nodes.width[rows])
+    (scene,), (once,) = prepared(twice), prepared(given)
+    assert scene.remarks == (
+        "left 1 of 8 planes alone, which show again what one before them does",
+        "cut 1 of 8 planes where others abut on them, and joined them again",
+    )
+    npt.assert_array_equal(scene.num_pieces, [1, 1, 1, 1, 1, 1, 2, 0])
+    assert (scene.set_aside.tolist(), once.set_aside.tolist()) == ([7], [])
+    for found, expected in zip(scene.centred.nodes, once.centred.nodes, strict=True):
+        npt.assert_array_equal(found, expected)
+    back = whole_again(
+        scene, in_place(scene, extended(scene.centred, [ROOM], [[8, 0, 0]], [[6, 8]]))
+    )
+    npt.assert_array_equal(back.nodes.position[:8], twice.nodes.position)
+    npt.assert_array_equal(undirected_edges(back, PART_OF), [[6, 8]])
+    uncut = subgraph(twice, [0, 6, 7])
+    (scene,) = prepared(uncut)
+    assert scene.remarks == (
+        "left 1 of 3 planes alone, which show again what one before them does",
+    )
+    assert scene.num_in_pieces == 2
+
+
 def test_a_plane_whose_room_is_known_is_not_cut():
     known = extended(shared_wall(), [ROOM], [[2.0, 1.5, 0.0]], [[6, 7]])
     (scene,) = prepared(known, keep=True)

@@ -18,7 +18,15 @@ from sg3d_jax.scene.graph import (
     subgraph,
     undirected_edges,
 )
-from sg3d_jax.scene.ontology import FLOOR, PART_OF, PLANE, PROXIMITY, ROOM, WALL
+from sg3d_jax.scene.ontology import (
+    FLOOR,
+    PAPER_ONTOLOGY,
+    PART_OF,
+    PLANE,
+    PROXIMITY,
+    ROOM,
+    WALL,
+)
 from tests.own_world import DEPTH, NUM_OBSERVED, NUM_PLANES, ROOMS, own_world
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data" / "s_graphs_logs.jsonl.gz"
@@ -189,6 +197,48 @@ def test_an_oblique_wall_cuts_where_its_line_meets_the_plane():
     npt.assert_allclose(cut_at((x, y, 150, 3)), [[0, meets], [meets, 10]], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("later", "again"),
+    [
+        ((5, 0.01, 90, 10), True),
+        ((3, -0.015, 90.3, 2, 2.0), True),  # part of it, and not as high
+        ((5, 0.01, 90, 10.2), True),  # ends a little beyond
+        ((9.5, 0.01, 90, 2), False),  # goes on
+        ((5, 0.03, 90, 10), False),  # aside
+        ((5, 0.01, 91, 10), False),  # turned
+        ((5, -0.01, 270, 10), False),  # looks the other way
+        ((5, 0.01, 90, 10, 2.8), False),  # of the next storey
+        ((5, 0.0, 90, 8), False),  # drawn on the same line
+    ],
+)
+def test_what_shows_again_what_a_plane_before_it_does_has_no_piece(later, again):
+    others = wall(4)
+    pieces = cut_observed(line_of_wall(*others, later))
+    if again:
+        alone = cut_observed(line_of_wall(*others))
+        assert alone.owner.tolist() == [0, 0, 1, 2]
+        for found, expected in zip(pieces, alone, strict=True):
+            npt.assert_array_equal(found, expected)
+    else:
+        assert 3 in pieces.owner
+    turned_round = cut_observed(planes(later, *others, (5, 0, 90, 10)))
+    assert 0 in turned_round.owner
+    assert (3 in turned_round.owner) == (not again or later[3] < 9)  # less shows not the whole
+
+
+def test_a_window_in_a_plane_is_not_the_plane_seen_again():
+    plane = PAPER_ONTOLOGY.concepts[PLANE]
+    window = dataclasses.replace(plane, name="window", letter="x", layer="WINDOWS")
+    concepts = (plane, window, *PAPER_ONTOLOGY.concepts[1:])
+    ontology = dataclasses.replace(PAPER_ONTOLOGY, concepts=concepts)
+    given = line_of_wall((5, 0.01, 90, 1))
+    for label, owners in ((0, [0]), (1, [0, 1])):
+        nodes = given.nodes
+        fields = nodes.position, nodes.normal, nodes.width
+        graph = make_graph([0, label], *fields, ontology=ontology)
+        assert cut_observed(graph).owner.tolist() == owners
+
+
 def test_whole_floors_are_left_bit_for_bit():
     for index in range(40):
         given = observed_of(make_scene(TRUE_WIDTHS, 0, index))
@@ -286,7 +336,7 @@ BESIDE = (2.02, 0, 90, 6)  # the first side of the room, a little beside its mid
         (room(overhang=1.0)[:3], 0),
         ([(2, 0, 90, 6), (4, 2, 180, 6), (4.6, 2, 180, 6 / 1.3), (0, 2, 0, 6)], 0),  # one between
         ([(2, 0, 90, 6), (0, 2, 180, 6), (4, 2, 0, 6)], 4),  # no room, but a wall as thick
-        ([(2, 0, 90, 6), (4, 2, 180, 6), (4.005, 2.005, 180, 6.01)], 3),  # one side, seen twice
+        ([(2, 0, 90, 6), (4, 2, 180, 6), (4.005, 2.005, 179, 6.01)], 3),  # one side, seen twice
         ([*room(overhang=-0.3), face(2, 1, far=2)], 1),  # they end before the corners
     ],
 )
@@ -369,6 +419,13 @@ def test_a_graph_of_pieces_has_them_in_front_and_keeps_all_other_nodes():
     npt.assert_array_equal(cut.nodes.position[4:], mixed.nodes.position[[0, 3]])
     npt.assert_allclose(cut.nodes.width, [5.9, 3.9, 4, 4, 0, 0], atol=1e-12)
     npt.assert_array_equal(undirected_edges(cut, PART_OF), [[2, 4], [4, 5]])
+
+
+def test_a_plane_that_is_part_of_something_was_not_seen_again():
+    given = line_of_wall((5, 0.01, 90, 8))
+    known = extended(given, [ROOM], np.zeros((1, 3)), [[1, 2]])
+    assert cut_observed(given).owner.tolist() == [0]
+    assert cut_observed(known).owner.tolist() == [0, 1]
 
 
 def test_a_plane_that_is_part_of_something_is_not_cut_but_cuts_others():
