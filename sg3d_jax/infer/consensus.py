@@ -30,13 +30,18 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from sg3d_jax.infer.candidates import most_agreeing, num_flaws
+from sg3d_jax.infer.confidence import likely
 from sg3d_jax.metrics.calibration import observed_below
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first, subgraph
+
+# Share of the parts that belong to nothing, about as in training. Where a scene has so many, a part
+# that half of the candidates place has a place; where it has none, a fifth or a third is enough.
+LONE: Final = 0.1
 
 
 class Version(NamedTuple):
@@ -246,10 +251,11 @@ def votes_of_pairs(ballots: Sequence[AbstractSet[Version]]) -> Mapping[Version, 
 def adopted(
     chosen: AbstractSet[Version], ballots: Sequence[AbstractSet[Version]], single: AbstractSet[int]
 ) -> Mapping[Version, AbstractSet[int]]:
-    """Finds a whole for parts that the election left alone though most candidates have them in one.
+    """Finds a whole for parts that the election left alone though candidates have them in one.
 
-    That is where candidates agree that a part belongs to something, but not on what: it joins the
-    whole that shares most with those that it has in the candidates.
+    That is where candidates agree that a part belongs to something, but not on what, or where few
+    place it, but nearly all else has its place, so that hardly anything in the scene belongs to
+    nothing. It joins the whole that shares most with those that it has in the candidates.
 
     Args:
       chosen: the wholes that are elected.
@@ -258,16 +264,27 @@ def adopted(
 
     Returns:
       What joins each of the chosen ones.
+
+    Source: the odds of what k of K draws have (`infer.confidence`), and Bayes' rule: the share of
+    parts that belong to nothing in this scene in place of that in training.
     """
     joins: dict[Version, set[int]] = {version: set() for version in chosen}
-    for part in sorted(single - {one for version in chosen for one in version.parts}):
-        held = [version.parts for ballot in ballots for version in ballot if part in version.parts]
-        if 2 * len(held) > len(ballots) and chosen:
+    placed = Counter(part for ballot in ballots for part in _parts_of(ballot) & single)
+    lone = (len(single) - len(placed) + 0.5) / (len(single) + 1)
+    needed = lone / (1 - lone) * (1 - LONE) / LONE
+    for part in sorted({*placed} - _parts_of(chosen)):
+        sure = likely([placed[part]], len(ballots))[0]
+        if chosen and sure > needed * (1 - sure):
+            held = [one.parts for ballot in ballots for one in ballot if part in one.parts]
             shared = {one: sum(len(one.parts & other) for other in held) for one in chosen}
             best = _foremost(shared)
             if shared[best]:
                 joins[best].add(part)
     return joins
+
+
+def _parts_of(wholes: AbstractSet[Version]) -> AbstractSet[int]:
+    return frozenset().union(*(one.parts for one in wholes))
 
 
 def _beside(
