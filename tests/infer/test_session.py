@@ -172,6 +172,23 @@ def test_what_grows__comes_with_ids_and_is_said(draws):
     npt.assert_array_equal(graph_of(session).nodes.position[8], room(session, "a").position)
 
 
+def test_what_is_seen_again__changes_nothing_and_stands_in_when_the_first_is_gone(draws):
+    session, seen = whole_map(draws), PLANES.nodes.position.copy()
+    seen[0] += [0.01, 0.002, 0.1]
+    again = subgraph(PLANES._replace(nodes=PLANES.nodes._replace(position=seen)), [0])
+    before = nodes_of(session)
+    session, done = go(session, observed=again, ids=("again",))
+    assert done.added == done.changed == done.removed == ()
+    assert nodes_of(session) == {one: node._replace(age=1) for one, node in before.items()}
+    npt.assert_array_equal(graph_of(session).nodes.position[8], seen[0])
+    gone, done = go(session, merged=(("again", "a0"),))
+    assert (done.added, done.changed, done.removed) == ((), (), ())
+    assert "again" not in ids_of(gone)
+    draws.wholes = {ROOM: [("a1", "a2", "a3", "again"), TRUTH[ROOM][1]], WALL: TRUTH[WALL]}
+    session, _ = go(session, removed=("a0",))
+    assert ids_over(session, ROOM, "a1", "a2", "a3", "again") == [0]
+
+
 def test_an_update_of_a_model__is_a_pure_function(monkeypatch):
     monkeypatch.setattr(sessions, "LEAST", 32)
     monkeypatch.setattr(sessions, "SPARE", 1)
