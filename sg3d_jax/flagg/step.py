@@ -286,6 +286,9 @@ def check_grows(model: Any, params: Any) -> None:
     if not isinstance(params, Params):
         held = type(params).__name__
         raise ValueError(f"the parameters are a {held}, expected Params of a model that grows")
+    if model.config.upper and params.upper is None:
+        expected = f"those from {model.config.upper} on, too (with_upper)"
+        raise ValueError(f"the parameters have none of upper layers, expected {expected}")
 
 
 def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:

@@ -101,6 +101,12 @@ def test_upper_layers__begin_with_what_fill_knows():
     without = step.with_upper(learnt, FlaggConfig())
     assert without == learnt._replace(upper=None)
     assert step.with_upper(without, model.config).upper is without.fill
+    step.check_grows(model, learnt)
+    expected = (
+        r"^the parameters have none of upper layers, expected those from floor on, too \(with_"
+    )
+    with pytest.raises(ValueError, match=expected):
+        step.check_grows(model, without)
 
 
 @dataclasses.dataclass(frozen=True)
