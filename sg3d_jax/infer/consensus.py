@@ -117,7 +117,8 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
         over_grown = not ontology.is_observed[ontology.may_be_part[:, concept]].any()
         votes = votes_of_pairs if over_grown and has_one.all() else votes_of
         chosen = elected(wholes, start, votes(wholes))
-        joined = adopted(chosen, wholes, single)
+        lowest = min((draft.label[part] for part in single), default=concept)
+        joined = adopted(chosen, wholes, {one for one in single if draft.label[one] == lowest})
         settled = {one for version in chosen for one in version.parts | joined[version]} & single
         beside = _beside(chosen, ballots, settled)
         for version in sorted(chosen, key=lambda version: (sorted(version.parts), -version.row)):
@@ -260,7 +261,7 @@ def adopted(
     Args:
       chosen: the wholes that are elected.
       ballots: the wholes of each candidate.
-      single: parts that have exactly one such whole.
+      single: parts that have exactly one such whole, of the concept that says which it is.
 
     Returns:
       What joins each of the chosen ones.

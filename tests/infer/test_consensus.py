@@ -347,3 +347,21 @@ def test_a_room_with_more_doors_than_planes_is_in_one_unit():
     made, _ = consensus([graph] * 3, 5)
     assert made is not graph  # which is kept where the votes break a rule
     assert exact_structure(made, graph)
+
+
+def test_what_half_place_has_a_place_among_objects_that_have_one():
+    """Of two rooms with nine objects each; two of four leave one of the planes alone."""
+    plane, thing, a_room = map(FURNISHED_ONTOLOGY.label_of, ("plane", "object", "room"))
+    labels = [plane] * 8 + [thing] * 18 + [a_room] * 2
+    pairs = [(one, 26 + (one >= 4)) for one in range(8)]
+    pairs += [(8 + one, 26 + one % 2) for one in range(18)]
+
+    def with_fourth(*fourth):
+        held = [pair for pair in pairs if pair[0] != 3] + [(3, one) for one in fourth]
+        position = np.zeros((len(labels), 3))
+        return make_graph(labels, position, part_of=held, ontology=FURNISHED_ONTOLOGY)
+
+    without, west, east = with_fourth(), with_fourth(26), with_fourth(27)
+    for order in in_turn([without, west, without, east]):
+        made, _ = consensus(order, 26)
+        assert exact_structure(made, west) or exact_structure(made, east)
