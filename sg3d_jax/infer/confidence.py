@@ -32,6 +32,10 @@ LEAST_AGREEMENT: Final = 0.8
 # draws of midi-general on S-F, P-F and S-F@robot (`benchmarks/calibration.py --fit`).
 PRIOR: Final = 0.4
 SHARPNESS: Final = 2.4
+# A draw that has one room of a floor otherwise still has the floor: two nodes that share so much of
+# what either groups, and at least so many, stand for the same.
+NEARLY: Final = 0.9
+LEAST_NEARLY: Final = 9
 
 
 class Confidence(NamedTuple):
@@ -90,8 +94,6 @@ def judged(
     every = {id(graph): graph for graph in (*drawn, *graphs)} if several else {}
     read = {name: _read(graph) for name, graph in every.items()}
     draws = [read[id(graph)] for graph in drawn if several]
-    nodes = Counter(one for draw in draws for one in draw.of_nodes)
-    edges = Counter(one for draw in draws for one in draw.of_edges)
     results = []
     for graph in graphs:
         agreement, of_nodes, of_edges = None, None, None
@@ -99,6 +101,9 @@ def judged(
             own = read[id(graph)]
             place = next((i for i, one in enumerate(drawn) if one is graph), len(drawn))
             agreement = _agreement(own, [*draws[:place], *draws[place + 1 :]], num_given)
+            alike = [_as_called_in(own, draw, num_given) for draw in draws]
+            nodes = Counter(one for draw in alike for one in draw.of_nodes)
+            edges = Counter(one for draw in alike for one in draw.of_edges)
             of_nodes = likely([nodes[one] for one in own.of_nodes], len(drawn))
             of_edges = likely([edges[one] for one in own.of_edges], len(drawn))
             of_nodes[:num_given] = 1.0
@@ -114,6 +119,32 @@ def judged(
 def _read(graph: SceneGraph) -> _Read:
     nodes = identities(graph)
     return _Read(nodes, edge_identities(graph, nodes))
+
+
+def _as_called_in(own: _Read, draw: _Read, num_given: int) -> _Read:
+    """Returns a draw in which what nearly stands for a node of another graph does so."""
+    known = {*own.of_nodes}
+    names = {
+        one: _nearest(one, own.of_nodes[num_given:])
+        for one in draw.of_nodes[num_given:]
+        if one not in known and one[1].count(1) >= LEAST_NEARLY
+    }
+    return _Read(
+        [names.get(one, one) for one in draw.of_nodes],
+        [(names.get(part, part), names.get(whole, whole)) for part, whole in draw.of_edges],
+    )
+
+
+def _nearest(one: Identity, others: Sequence[Identity]) -> Identity:
+    """Returns which of some others is nearly the same, or the one itself."""
+    concept, below, number = one
+    own, shares = np.frombuffer(below, bool), {}
+    for other in others:
+        if (other[0], other[2]) == (concept, number):
+            theirs = np.frombuffer(other[1], bool)
+            shares[other] = np.sum(own & theirs) / np.sum(own | theirs)
+    best = max(shares, key=lambda other: shares[other], default=one)
+    return best if shares.get(best, 0.0) >= NEARLY else one
 
 
 def likely(holders: Sequence[int], num_drawn: int) -> np.ndarray:

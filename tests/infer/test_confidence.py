@@ -65,6 +65,23 @@ def test_what_was_not_grown_from_lacks_nothing():
         assert any("without a room" in remark for remark in one.remarks) == (unplaced > 0)
 
 
+@pytest.mark.parametrize(("num_lost", "holders"), [(0, 4), (1, 4), (2, 1)])
+def test_a_floor_of_a_dozen_planes_is_the_same_without_one_of_them(num_lost, holders):
+    """One of four draws is kept; the others leave planes of its first room alone."""
+    graph = next(one for one in registry.make("s-f", 40) if one.nodes.observed.sum() == 12)
+    num_given, label = 12, graph.nodes.label
+    pairs = parts_first(graph)
+    changed, other = np.flatnonzero(label == ROOM)[:2]
+    (floor,) = np.flatnonzero(label == FLOOR)
+    lost = [tuple(pair) for pair in pairs[pairs[:, 1] == changed].tolist()][:num_lost]
+    [(nodes, edges)] = sure_of([graph], [graph, *[without(graph, *lost)] * 3], num_given)
+    all_, some, one = likely(4, 4), likely(holders, 4), likely(1 if num_lost else 4, 4)
+    npt.assert_allclose(nodes[[other, floor, changed]], [all_, some, one])
+    place = {tuple(pair): row for row, pair in enumerate(pairs.tolist())}
+    of_floor = edges[[place[other, floor], place[changed, floor]]]
+    npt.assert_allclose(of_floor, [some, one])
+
+
 def test_planes_without_a_room_are_counted():
     confidence, remarks = alone(without(two_rooms(), (0, WEST), (5, EAST), (7, EAST)))
     assert confidence == SURE._replace(unplaced=3 / 8)
