@@ -123,9 +123,9 @@ def _read(graph: SceneGraph) -> _Read:
 
 def _as_called_in(own: _Read, draw: _Read, num_given: int) -> _Read:
     """Returns a draw in which what nearly stands for a node of another graph does so."""
-    known = {*own.of_nodes}
+    known, grown = {*own.of_nodes}, own.of_nodes[num_given:]
     names = {
-        one: _nearest(one, own.of_nodes[num_given:])
+        one: _nearest(one, grown)
         for one in draw.of_nodes[num_given:]
         if one not in known and one[1].count(1) >= LEAST_NEARLY
     }

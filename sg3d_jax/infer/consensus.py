@@ -27,7 +27,7 @@ parts chosen below, so that one room does not cost the votes for its floor.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import chain
 from typing import Any, Final, NamedTuple
@@ -238,7 +238,7 @@ def votes_of_pairs(ballots: Sequence[AbstractSet[Version]]) -> Mapping[Version, 
     holders = Counter(chain.from_iterable(ballots))
     versions, held = [*holders], np.array([*holders.values()])
     given = {one.row for one in versions if one.row >= 0}
-    place = {row: k for k, row in enumerate(given.union(*(one.parts for one in versions)))}
+    place = {row: k for k, row in enumerate(given | _parts_of(versions))}
     has = np.zeros((len(versions), len(place)))
     for one, row in zip(versions, has, strict=True):
         row[[place[other] for other in {one.row} & given | one.parts]] = 1
@@ -284,7 +284,7 @@ def adopted(
     return joins
 
 
-def _parts_of(wholes: AbstractSet[Version]) -> AbstractSet[int]:
+def _parts_of(wholes: Iterable[Version]) -> AbstractSet[int]:
     return frozenset().union(*(one.parts for one in wholes))
 
 

@@ -24,7 +24,7 @@ class Scene(NamedTuple):
     where: str  # what a refusal calls it
     given: SceneGraph  # host graph without proximity edges, in the user's frame
     source: np.ndarray  # int[n], row that each of its nodes has in the user's graph
-    pieces: Pieces | None  # what its observed nodes are cut into; None if none is cut
+    pieces: Pieces | None  # what its observed nodes are cut into; None if all are whole
     in_pieces: SceneGraph  # the same graph, its observed nodes in pieces
     centred: SceneGraph  # that around the mean of what is observed
     centre: np.ndarray  # float64[3], metres
@@ -126,7 +126,7 @@ def _prepared(
 
 
 def _pieces(given: SceneGraph) -> Pieces | None:
-    """Returns what observed nodes are cut into, or None if none is cut."""
+    """Returns what observed nodes are cut into, or None if each is a piece, and whole."""
     pieces = cut_observed(given)
     return None if np.array_equal(pieces.owner, np.flatnonzero(given.nodes.observed)) else pieces
 

@@ -55,7 +55,8 @@ class CutRules:
       depth: how much of it must lie in front of the plane, metres; less is a jamb or a pillar.
       parallel: planes whose normals have a cosine beyond this, up to the sign, run alongside each
         other and do not meet.
-      touch: one that ends no farther away meets the plane, whatever stands around, metres.
+      touch: one that ends no farther away meets the plane, whatever stands around, metres. One that
+        is seen again ends no farther beyond what was seen before.
       slack: how far planes that meet in a corner may end apart, metres.
       storey: planes whose middles differ by more in height have nothing to do with each other,
         metres.
@@ -163,11 +164,13 @@ def cut_observed(graph: SceneGraph, rules: CutRules = CUTS) -> Pieces:
     observed = np.flatnonzero(nodes.observed)
     is_plane = ontology.has("normal") & ontology.has("width")
     rows = observed[is_plane[nodes.label[observed]]]
+    x, y, height = nodes.position[rows].T
+    normal = nodes.normal[rows, 0] + 1j * nodes.normal[rows, 1]
+    planes = _Planes(x + 1j * y, normal, nodes.width[rows] / 2, height)
     free = ~np.isin(rows, undirected_edges(graph, PART_OF))
-    again = free & _seen_again(_planes_of(graph, rows), nodes.label[rows], rules)
+    again = free & _seen_again(planes, nodes.label[rows], rules)
     observed = np.setdiff1d(observed, rows[again])
-    rows, free = rows[~again], free[~again]
-    planes = _planes_of(graph, rows)
+    rows, free, planes = rows[~again], free[~again], _Planes(*(field[~again] for field in planes))
     cuts = _cuts(planes, free, rules)
     owner = np.sort(np.concatenate([observed, rows[cuts.plane]]))
     position, width = nodes.position[owner], nodes.width[owner]
@@ -197,7 +200,7 @@ def of_pieces(graph: SceneGraph, pieces: Pieces) -> SceneGraph:
     position = graph.nodes.position[rows]
     position[: len(pieces.owner)] = pieces.position
     place = np.zeros(len(graph.nodes.label), int)
-    place[rows] = np.arange(len(rows))  # what has edges is not cut
+    place[rows] = np.arange(len(rows))  # what has edges is neither cut nor left out
     return make_graph(
         graph.nodes.label[rows],
         position,
@@ -240,14 +243,6 @@ def joined(graph: SceneGraph, pieces: Pieces, given: SceneGraph) -> SceneGraph:
 def _rows_of(graph: SceneGraph, pieces: Pieces) -> np.ndarray:
     """Returns the row of a graph from which each node of its graph of pieces is."""
     return np.concatenate([pieces.owner, np.flatnonzero(~graph.nodes.observed)])
-
-
-def _planes_of(graph: SceneGraph, rows: np.ndarray) -> _Planes:
-    """Returns some nodes of a graph that have a normal and a width, from above."""
-    nodes = graph.nodes
-    x, y, height = nodes.position[rows].T
-    normal = nodes.normal[rows, 0] + 1j * nodes.normal[rows, 1]
-    return _Planes(x + 1j * y, normal, nodes.width[rows] / 2, height)
 
 
 def _seen_again(planes: _Planes, label: np.ndarray, rules: CutRules) -> np.ndarray:
