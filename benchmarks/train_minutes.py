@@ -6,11 +6,11 @@ compiled in as many threads, as there are cores; with --fresh-every they are dra
 Of several devices each takes a batch of every step, and the rate grows by the square root of their
 number (docs/scaling.md). Every minute what has been learnt is written, in case the machine is taken
 back. Who goes on from weights of the same concepts keeps what those know of their training set.
-With --only kinds nothing is learnt but kinds, of graphs that are complete; a slot then costs a
-fifteenth. With --only upper nothing is but the parameters of the upper layers, those from the
-concept `flagg.upper` on, on cuts of their own; of graphs that have one node of it at most there are
-half as many as of others (those that --fresh-every draws later come as they are). All else stays as
-it was.
+With --only kinds or --only placement nothing is learnt but these, of graphs that are complete; a
+slot then costs a fifteenth or a tenth. With --only upper nothing is but the parameters of the upper
+layers, those from the concept `flagg.upper` on, on cuts of their own; of graphs that have one node
+of it at most there are half as many as of others (those that --fresh-every draws later come as they
+are). All else stays as it was.
 
     python benchmarks/train_minutes.py configs/midi_general.py --minutes 8 -o weights.npz
 """
@@ -49,6 +49,12 @@ WARMUP = 20  # and those in which it rises
 STEPS_A_CALL = 20
 REPORT = 40  # calls
 MINUTE = 60.0  # between two times that weights are written
+# What may be learnt alone, and what is said of a model that lacks it.
+LACKS = {
+    "kinds": "kinds",
+    "upper": "upper layers (flagg.upper)",
+    "placement": "placement (flagg.placement)",
+}
 ENDLESS = STEPS_A_CALL * 10**7  # steps; the clock ends a run
 
 
@@ -61,6 +67,17 @@ class UpperAlone:
     def loss(self, params: Params, key: Any, graph: SceneGraph) -> Any:
         """Returns the loss of the parameters of the upper layers."""
         return self.model.upper_loss(params, key, graph)
+
+
+@dataclasses.dataclass(frozen=True)
+class PlacementAlone:
+    """Where a model puts what it has grown, likewise."""
+
+    model: Flagg
+
+    def loss(self, params: Params, key: Any, graph: SceneGraph) -> Any:
+        """Returns the loss of the centroids of a complete graph."""
+        return self.model.placement_loss(params, key, graph)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +111,7 @@ def main() -> None:
     parser.add_argument("--capacities", type=int, nargs="+", help="of the buckets, nodes")
     parser.add_argument("--initial", help="weights to start from")
     parser.add_argument("--data", help="other data sets than those configured")
-    parser.add_argument("--only", choices=("kinds", "upper"), help="parameters that may change")
+    parser.add_argument("--only", choices=(*LACKS,), help="parameters that may change")
     arguments = parser.parse_args()
     began = time.monotonic()
     said = lambda text: print(f"{time.monotonic() - began:6.1f} s  {text}", flush=True)
@@ -195,13 +212,14 @@ def mostly_several(graphs: list[SceneGraph], concept: str) -> list[SceneGraph]:
 
 
 def alone(model: Model, only: str) -> Any:
-    """Returns the kinds or the upper layers of a model as what is trained."""
+    """Returns the kinds, the upper layers or the placement of a model as what is trained."""
     if only == "kinds" and isinstance(model, Flagg) and model.kinds is not None:
         return KindsAlone(model.kinds, model.config.corruption)
     if only == "upper" and isinstance(model, Flagg) and model.config.upper:
         return UpperAlone(model)
-    lacks = {"kinds": "has no kinds", "upper": "has no upper layers (flagg.upper)"}
-    raise SystemExit(f"--only {only}: what this configuration grows {lacks[only]}")
+    if only == "placement" and isinstance(model, Flagg) and model.placement:
+        return PlacementAlone(model)
+    raise SystemExit(f"--only {only}: what this configuration grows has no {LACKS[only]}")
 
 
 def known_to_initial(config: Config) -> Measured | None:

@@ -35,6 +35,7 @@ CONFIG = Config(
         continuations=8,
         any_cuts=0.15,
         upper="floor",
+        placement=(48, 8, 4),
         corruption=CorruptionConfig(p_add=0.0, added_per_node=0.01),
     ),
     model=MiDiConfig(

@@ -20,6 +20,7 @@ from sg3d_jax.flagg.halt import Halt, draw_halt, halt_loss
 from sg3d_jax.flagg.insert import Insert, draw_size, insert_loss
 from sg3d_jax.flagg.kinds import Kinds, kind_loss
 from sg3d_jax.flagg.ordering import Ordering, grown_layers, is_upper
+from sg3d_jax.flagg.placement import Placement, placement_loss
 from sg3d_jax.flagg.removal import Cut, draw_continuations, draw_cut
 from sg3d_jax.nn.kin import kin_fit
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
@@ -40,11 +41,17 @@ class FlaggConfig:
     corruption: CorruptionConfig = CorruptionConfig()
     width: int = 32  # of Insert, Halt and Kinds
     depth: int = 2  # GINE layers of Insert, Halt and Kinds
+    placement: tuple[int, ...] = ()  # width, channels and layers of Placement; empty: none
     halt_by_threshold: bool = True  # False: by a draw
     constrained: bool = True  # whether what is grown obeys the rules of the ontology
 
     def __post_init__(self) -> None:
-        """Refuses continuations where one node alone may come next."""
+        """Refuses continuations where one node alone may come next, and sizes that are none."""
+        if len(self.placement) not in (0, 3) or min(self.placement, default=1) < 1:
+            raise ValueError(
+                f"flagg.placement is {self.placement}, expected a width, channels and layers, or "
+                "nothing"
+            )
         if self.continuations < 1 or (self.continuations > 1 and self.ordering != "H"):
             raise ValueError(
                 f"flagg.continuations is {self.continuations}, expected 1, or more in the order H: "
@@ -60,6 +67,7 @@ class Params(NamedTuple):
     halt: Any  # of Halt
     kinds: Any = None  # of Kinds; None where what is grown has none
     upper: Any = None  # of Fill, for `FlaggConfig.upper` and what comes after it; None for `fill`
+    placement: Any = None  # of Placement; None where centroids stay as they are drawn
 
 
 def with_upper(params: Params, config: FlaggConfig) -> Params:
@@ -93,6 +101,7 @@ class Flagg:
       fill: what they are.
       halt: whether the graph is complete.
       kinds: what kind the grown nodes of a graph are of; None if their concepts have none.
+      placement: where the grown nodes of a graph stand; None to leave them where they are drawn.
 
     Raises:
       ValueError: the order of the layers is none of the concepts of the Fill model, or the first
@@ -104,6 +113,7 @@ class Flagg:
     fill: Fill
     halt: Halt
     kinds: Kinds | None = None
+    placement: Placement | None = None
 
     def __post_init__(self) -> None:
         """Refuses an order of other concepts, and upper layers of what is not grown."""
@@ -131,6 +141,8 @@ class Flagg:
             halt=self.halt.init(keys[3], cut.survivors),
             kinds=self.kinds and self.kinds.init(jax.random.fold_in(key, 4), cut.survivors),
             upper=fill if self.config.upper else None,
+            placement=self.placement
+            and self.placement.init(jax.random.fold_in(key, 5), cut.survivors),
         )
 
     def loss(
@@ -143,13 +155,16 @@ class Flagg:
 
         Source: FLAGG (one sum of the losses of all modules); paper, Sec. "Noise augmentation".
         """
-        key_upper = jax.random.fold_in(key, 1)
+        key_upper, key_placement = (jax.random.fold_in(key, number) for number in (1, 2))
         with own_types():
             total, terms = self._loss(params, key, in_32_bits(graph))
-        if not self.config.upper:
-            return total, terms
-        upper, of_upper = self.upper_loss(params, key_upper, graph)
-        return total + upper, terms | of_upper
+        if self.config.upper:
+            upper, of_upper = self.upper_loss(params, key_upper, graph)
+            total, terms = total + upper, terms | of_upper
+        if self.placement is not None:
+            placement, of_placement = self.placement_loss(params, key_placement, graph)
+            total, terms = total + placement, terms | of_placement
+        return total, terms
 
     def upper_loss(
         self, params: Params, key: Key[Array, ""], graph: SceneGraph
@@ -166,6 +181,18 @@ class Flagg:
             keys = jax.random.split(unrolled(key), 4)
             _, _, loss, terms = self._fill_loss(params.upper, keys, graph, self.config.upper)
         return loss, {f"upper_{name}": term for name, term in terms.items()}
+
+    def placement_loss(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Returns the loss of Placement on a complete graph, perturbed as in all training."""
+        assert self.placement is not None
+        with own_types():
+            graph = in_32_bits(graph)
+            seen = corrupt(graph, unrolled(key), self.config.corruption)
+            position = self.placement.positions(params.placement, seen)
+            loss = placement_loss(position, seen, graph)
+        return loss, {"placement": loss}
 
     def _loss(
         self, params: Params, key: Key[Array, ""], graph: SceneGraph
@@ -292,11 +319,12 @@ def check_grows(model: Any, params: Any) -> None:
 
 
 def make_flagg(config: FlaggConfig, fill: Fill) -> Flagg:
-    """Puts Insert, Halt and Kinds, of the sizes of a configuration, around a Fill model."""
+    """Puts the other modules, of the sizes of a configuration, around a Fill model."""
     insert = Insert(config.width, config.depth, len(config.coins))
     kinds = Kinds(config.width, config.depth, fill.ontology)
     kinds = kinds if kinds.most else None
-    return Flagg(config, insert, fill, Halt(config.width, config.depth), kinds)
+    placement = Placement(*config.placement) if config.placement else None
+    return Flagg(config, insert, fill, Halt(config.width, config.depth), kinds, placement)
 
 
 def cut_graph(config: FlaggConfig, key: Key[Array, ""], graph: SceneGraph, upper: str = "") -> Cut:

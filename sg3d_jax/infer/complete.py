@@ -15,6 +15,7 @@ from sg3d_jax.infer.consensus import consensus
 from sg3d_jax.infer.division import divided_alike
 from sg3d_jax.infer.kinds import chances_of_kinds, with_kinds
 from sg3d_jax.infer.lanes import WORD, Course, Model, complete_lanes
+from sg3d_jax.infer.placement import placed
 from sg3d_jax.infer.prepare import Scene, in_place, prepare, whole_again
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
@@ -194,12 +195,13 @@ def complete_each(
     numbers = None if numbers is None else _numbers(numbers, len(prepared))
     most = (CANDIDATES if samples == 1 else 1) if candidates is None else candidates
 
-    def kinds(scene: Scene, graph: SceneGraph) -> np.ndarray | None:
-        return chances_of_kinds(model, params, graph, scene.num_in_pieces)
+    def told(scene: Scene, graph: SceneGraph) -> tuple[SceneGraph, np.ndarray | None]:
+        graph = placed(model, params, graph, scene.num_in_pieces)
+        return graph, chances_of_kinds(model, params, graph, scene.num_in_pieces)
 
     def course(scene: Scene) -> Course[list[Completion]]:
         drawn = yield from _drawn(scene, samples, most)
-        return _completions(scene, drawn, kinds)
+        return _completions(scene, drawn, told)
 
     limits = seed, max_steps, numbers, lanes, outgrow
     return complete_lanes(model, params, prepared, course, *limits)
@@ -251,9 +253,15 @@ def _graphs(drawn: Sequence[_Drawn]) -> list[SceneGraph]:
 def _completions(
     scene: Scene,
     samples: Sequence[Sequence[_Drawn]],
-    kinds: Callable[[Scene, SceneGraph], np.ndarray | None],
+    told: Callable[[Scene, SceneGraph], tuple[SceneGraph, np.ndarray | None]],
 ) -> list[Completion]:
-    """Returns what is kept of all that was drawn of one scene, and how sure it is."""
+    """Returns what is kept of all that was drawn of one scene, and how sure it is.
+
+    Args:
+      scene: what was given.
+      samples: the candidates of each.
+      told: where what is kept stands, and how likely each kind is, told by its edges.
+    """
     kept: list[_Drawn] = []
     drawn: list[SceneGraph] = []
     chances: list[np.ndarray | None] = []
@@ -265,7 +273,8 @@ def _completions(
         graph, index = consensus(alike, scene.num_in_pieces)
         others = [one.graph for one in candidates if ended and not _has_ended(one)]
         drawn += [whole_again(scene, one) for one in (*alike, *others)]
-        chances.append(kinds(scene, graph))
+        graph, of_kinds = told(scene, graph)
+        chances.append(of_kinds)
         graph = whole_again(scene, graph)
         graph = graph if chances[-1] is None else with_kinds(graph, chances[-1])
         kept.append(voters[index]._replace(graph=graph))

@@ -10,9 +10,8 @@ from jaxtyping import Array, Float
 from sg3d_jax.fill.protocol import Params
 from sg3d_jax.flagg.compiled import Compiled, in_32_bits
 from sg3d_jax.flagg.step import Flagg
-from sg3d_jax.infer.lanes import Model, growth_capacity
+from sg3d_jax.infer.lanes import Model, padded_around
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
-from sg3d_jax.scene.padding import bucket, centre_of_observed, moved_by, pad
 from sg3d_jax.scene.proximity import connect_observed
 
 
@@ -33,10 +32,9 @@ def chances_of_kinds(
     """
     if not isinstance(model, Flagg) or model.kinds is None:
         return None
-    nodes = graph.nodes
-    capacity = max(bucket(len(nodes.label)), growth_capacity(int(np.sum(nodes.observed))))
-    packed = pad(moved_by(graph, -centre_of_observed(graph)), capacity)
-    return np.asarray(_chances(model, params, packed), np.float64)[num_given : len(nodes.label)]
+    packed, _ = padded_around(graph)
+    chances = np.asarray(_chances(model, params, packed), np.float64)
+    return chances[num_given : len(graph.nodes.label)]
 
 
 def with_kinds(graph: SceneGraph, chances: np.ndarray) -> SceneGraph:

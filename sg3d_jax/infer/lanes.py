@@ -26,7 +26,16 @@ from sg3d_jax.infer.arguments import check_shapes
 from sg3d_jax.infer.prepare import Scene
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
 from sg3d_jax.scene.ontology import Ontology
-from sg3d_jax.scene.padding import NODE_CAPACITIES, Capacity, bucket, stack, unpad
+from sg3d_jax.scene.padding import (
+    NODE_CAPACITIES,
+    Capacity,
+    bucket,
+    centre_of_observed,
+    moved_by,
+    pad,
+    stack,
+    unpad,
+)
 
 LANES = 256  # scenes that an accelerator grows together at most, and
 LANE_NODES = 32_768  # nodes of all of them
@@ -144,6 +153,21 @@ def growth_capacity(num_observed: int, num_given: int = 0) -> Capacity:
       num_given: all nodes that are given; 0 for the observed ones alone.
     """
     return bucket(max(int(1.8 * num_observed), num_given) + 8)
+
+
+def padded_around(
+    graph: SceneGraph, capacity: Capacity | None = None
+) -> tuple[PackedGraph, np.ndarray]:
+    """Pads a complete host graph, moved to the centre of what is observed, and returns that, too.
+
+    Args:
+      graph: unpadded.
+      capacity: None for the bucket in which it begins to grow, or the next that holds it.
+    """
+    nodes, centre = graph.nodes, centre_of_observed(graph)
+    if capacity is None:
+        capacity = max(bucket(len(nodes.label)), growth_capacity(int(np.sum(nodes.observed))))
+    return pad(moved_by(graph, -centre), capacity), centre
 
 
 def largest_capacity(num_observed: int, num_given: int = 0) -> Capacity:

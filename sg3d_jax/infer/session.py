@@ -34,6 +34,7 @@ from sg3d_jax.infer.confidence import likely
 from sg3d_jax.infer.continuity import Seen, carried
 from sg3d_jax.infer.intake import taken_in
 from sg3d_jax.infer.lanes import as_here, num_workers, root_key
+from sg3d_jax.infer.placement import placed
 from sg3d_jax.infer.region import Region, region_of, whole_region
 from sg3d_jax.infer.revision import Map, Tracks, revised, without
 from sg3d_jax.metrics.calibration import observed_below
@@ -177,6 +178,7 @@ def warm_up(model: Flagg, params: Params, num_observed: int) -> None:
 
     def compiled(capacity: Capacity) -> None:
         _grown(model, params, (0, 0), given, capacity, MOST_STEPS)  # ends with the first block
+        placed(model, params, given, 2, capacity)
 
     with ThreadPoolExecutor(num_workers()) as pool:
         list(pool.map(as_here(compiled), capacities))
@@ -340,18 +342,19 @@ def _drawn(model: Flagg, params: Params, session: Session, region: Region) -> Sc
     size = _size(num_given, int(given.nodes.observed.sum()))
     if size > NODE_CAPACITIES[-1]:
         return None
-    numbers = session.seed, session.updates
-    grown = _grown(model, params, numbers, moved_by(given, -centre), bucket(size))
+    numbers, capacity = (session.seed, session.updates), bucket(size)
+    grown = _grown(model, params, numbers, moved_by(given, -centre), capacity)
     if grown.halt_reason != HALTED:
         return None
     drawn = unpad(grown.graph)
     pairs = parts_first(drawn)
-    return extended(
+    graph = extended(
         given,
         drawn.nodes.label[num_given:],
         np.asarray(drawn.nodes.position, np.float64)[num_given:] + centre,
         pairs[(pairs >= num_given).any(axis=1)],
     )
+    return placed(model, params, graph, num_given, capacity)
 
 
 def _size(num_given: int, num_observed: int) -> int:

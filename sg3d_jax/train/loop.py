@@ -274,7 +274,7 @@ def start_from_weights(config: Config, state: TrainState) -> TrainState:
     """Returns the initial state, with the parameters of the weights that the run starts from.
 
     Weights of other concepts are carried over (`transferred`). Upper layers that they have no
-    parameters of begin with those of Fill (`FlaggConfig.upper`).
+    parameters of begin with those of Fill (`FlaggConfig.upper`), a placement as any new one does.
 
     Raises:
       ValueError: they are of another method or of other sizes.
@@ -292,6 +292,8 @@ def start_from_weights(config: Config, state: TrainState) -> TrainState:
         if trained.config.ontology != config.ontology:
             concepts = trained.config.ontology, config.ontology
             params = transferred(params, concepts[0], state.params, concepts[1])
+        if config.flagg is not None and not (config.flagg.placement and params.placement):
+            params = params._replace(placement=state.params.placement)
         chex.assert_trees_all_equal_shapes_and_dtypes(params, state.params)
     except (AssertionError, ValueError) as error:
         raise ValueError(

@@ -36,7 +36,8 @@ OUTPUTS: Final[Mapping[str, tuple[str, ...]]] = {
     r"'label'\]\['(kernel|bias)": (CONCEPTS,),
     r"kinds.*'logits'\]\['(kernel|bias)": (OTHERS,),
 }
-BESIDE: Final = r"\W*kinds\b"  # the module that a model has or lacks by its concepts alone
+BESIDE: Final = r"\W*(kinds|placement)\b"  # modules that a model may have or lack
+FRESH: Final = r"\W*placement\b"  # the one that stays as it is: it is learnt soon
 
 
 def transferred(params: Params, known: Ontology, fresh: Params, ontology: Ontology) -> Params:
@@ -46,7 +47,8 @@ def transferred(params: Params, known: Ontology, fresh: Params, ontology: Ontolo
       params: of a model of the concepts `known`.
       known: its concepts.
       fresh: initial parameters of a model of the concepts `ontology`, of the same widths and
-        layers. The module that tells kinds stays fresh if the given ones lack it.
+        layers. The module that tells kinds stays fresh if the given ones lack it, and placement in
+        any case.
       ontology: its concepts.
 
     Raises:
@@ -63,7 +65,7 @@ def transferred(params: Params, known: Ontology, fresh: Params, ontology: Ontolo
     def carried(path: Any, leaf: jax.Array) -> jax.Array:
         name = jax.tree_util.keystr(path)
         have = given.get(name)
-        if have is None:
+        if have is None or re.match(FRESH, name):
             return leaf
         reads, axis = _reads(name)
         if not reads:

@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,11 @@ from sg3d_jax.baselines.edge_classifier import ECL, ECLConfig, ECSquare, ECSquar
 from sg3d_jax.baselines.edge_features import Scales
 from sg3d_jax.baselines.midi_oracle import MiDiOracle, MiDiOracleConfig
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, grow_lanes
+from sg3d_jax.flagg.placement import Placement
 from sg3d_jax.infer import complete as completing
 from sg3d_jax.infer.complete import Completion, complete, complete_each
 from sg3d_jax.infer.lanes import growth_capacity
+from sg3d_jax.infer.placement import placed
 from sg3d_jax.io.planes import planes
 from sg3d_jax.nn.relaxed_egnn import RelaxedTransformer
 from sg3d_jax.scene.graph import SceneGraph, observed_of, subgraph, undirected_edges
@@ -234,6 +238,20 @@ def test_of_several_candidates__what_most_have_is_kept(monkeypatch):
             # The stand-in keeps the last of one, too, so that the others are as they were drawn.
             assert same(one, of_drawn[index])
             np.testing.assert_array_equal(one.node_confidence, of_drawn[index].node_confidence)
+
+
+def test_what_is_kept__stands_where_a_placement_says():
+    model = dataclasses.replace(MODEL, placement=Placement(4, 2, 1))
+    places = random_params(model.placement.init, on_device(SCENE))
+    params = stop_at(11)._replace(placement=places)
+    scenes, options = [observed_of(SCENE)], {"samples": 2, "candidates": 2}
+    [found], [drawn] = (
+        complete(one, params, scenes, **options, cut="never") for one in (model, MODEL)
+    )
+    for one, other in zip(found, drawn, strict=True):
+        expected = placed(model, params, other.graph, NUM_PLANES).nodes.position
+        np.testing.assert_allclose(one.graph.nodes.position, expected, atol=1e-5)
+        assert np.abs(expected - other.graph.nodes.position).max() > 0.01
 
 
 def test_no_more_are_drawn_once_most_are_alike(monkeypatch):

@@ -8,7 +8,7 @@ from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.fill.midi import MiDi, MiDiConfig
 from sg3d_jax.flagg import step
 from sg3d_jax.flagg.step import FlaggConfig, make_flagg
-from sg3d_jax.infer import kinds
+from sg3d_jax.infer import lanes
 from sg3d_jax.infer.kinds import chances_of_kinds, with_kinds
 from sg3d_jax.scene.padding import Capacity
 from tests.furnished_rooms import NUM_OBSERVED, furnished_rooms
@@ -44,7 +44,7 @@ def test_chances_do_not_depend_on_the_place_or_the_padding(params, expected, mon
     shifted = moved(GRAPH, angle=0.7, offset=(1e5, -5e4, 20.0))
     found = chances_of_kinds(MODEL, params, shifted, NUM_OBSERVED)
     npt.assert_allclose(found, expected, atol=1e-4)
-    monkeypatch.setattr(kinds, "growth_capacity", lambda num_observed: Capacity(64, 512))
+    monkeypatch.setattr(lanes, "growth_capacity", lambda num_observed: Capacity(64, 512))
     npt.assert_allclose(chances_of_kinds(MODEL, params, GRAPH, NUM_OBSERVED), expected, atol=1e-5)
 
 

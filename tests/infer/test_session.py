@@ -1,6 +1,7 @@
 """A map that changes with what is observed, mostly over rooms that a stand-in draws by ids."""
 
 import copy
+import dataclasses
 import json
 import pickle
 from typing import Any
@@ -11,6 +12,8 @@ import numpy.testing as npt
 import pytest
 
 from sg3d_jax.flagg.grow import grow_lanes
+from sg3d_jax.flagg.placement import Placement
+from sg3d_jax.infer import placement
 from sg3d_jax.infer import session as sessions
 from sg3d_jax.infer.session import begin, graph_of, ids_of, nodes_of, update, warm_up
 from sg3d_jax.scene.changes import MERGED, SHRUNK, SPLIT, Changes, Event
@@ -26,7 +29,7 @@ from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, PLANE, ROOM, WALL
 from sg3d_jax.scene.validate import validate_graph
 from tests import own_world
 from tests.growing_rooms import MODEL, NEVER, stop_at
-from tests.two_rooms import moved, two_rooms
+from tests.two_rooms import moved, on_device, random_params, two_rooms
 from tests.unchecked import unchecked
 
 PLANES = observed_of(two_rooms())
@@ -192,12 +195,15 @@ def test_what_is_seen_again__changes_nothing_and_stands_in_when_the_first_is_gon
 def test_an_update_of_a_model__is_a_pure_function(monkeypatch):
     monkeypatch.setattr(sessions, "LEAST", 32)
     monkeypatch.setattr(sessions, "SPARE", 1)
-    warm_up(MODEL, stop_at(13), 0)
-    compiled = grow_lanes._cache_size()
+    model = dataclasses.replace(MODEL, placement=Placement(4, 2, 1))
+    places = random_params(model.placement.init, on_device(two_rooms()))
+    params = stop_at(13)._replace(placement=places)
+    warm_up(model, params, 0)
+    compiled = grow_lanes._cache_size(), placement._positions._cache_size()
 
     def step(session, *changes):
         for one in changes:
-            session, _ = update(MODEL, stop_at(13), session, one)
+            session, _ = update(model, params, session, one)
         return session
 
     first, *rest = Changes(**told(*IDS[:6])), Changes(**told(*IDS[6:])), THINK, THINK
@@ -210,7 +216,11 @@ def test_an_update_of_a_model__is_a_pure_function(monkeypatch):
     other = step(begin(PAPER_ONTOLOGY, 8), first)
     assert not np.array_equal(other.known.graph.nodes.position, session.known.graph.nodes.position)
     assert (session.known.graph.nodes.label == ROOM).any()
-    assert grow_lanes._cache_size() == compiled
+    assert (grow_lanes._cache_size(), placement._positions._cache_size()) == compiled
+    drawn, _ = update(MODEL, stop_at(13), begin(PAPER_ONTOLOGY, 7), first)
+    expected = placement.placed(model, params, drawn.known.graph, 6).nodes.position
+    npt.assert_allclose(session.known.graph.nodes.position, expected, atol=1e-5)
+    assert np.abs(expected - drawn.known.graph.nodes.position).max() > 0.01
 
 
 def test_ids__stay_with_what_goes_on_and_are_never_given_twice(draws):

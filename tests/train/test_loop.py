@@ -11,6 +11,7 @@ import numpy.testing as npt
 import optax
 import pytest
 
+from sg3d_jax.flagg.placement import Placement
 from sg3d_jax.flagg.step import with_upper
 from sg3d_jax.infer.complete import complete
 from sg3d_jax.infer.lanes import root_key
@@ -37,7 +38,7 @@ from tests import command_line
 from tests.own_world import FLAT, NUM_OBSERVED, ONTOLOGY, PILLAR, own_world
 from tests.tiny_run import read_config, untrained_weights
 from tests.train import wide_run
-from tests.two_rooms import CAPACITY, TWICE, on_device, two_rooms
+from tests.two_rooms import CAPACITY, TWICE, on_device, random_params, two_rooms
 
 
 def arrays(path):
@@ -445,6 +446,27 @@ def test_upper_layers_start_from_weights_that_have_none_and_are_left_out_where_n
         jax.tree.map(npt.assert_array_equal, own, known.params.fill)
     learnt = params._replace(upper=jax.tree.map(lambda leaf: leaf + 1, params.upper))
     path = save_weights(tmp_path / "upper.npz", config, known.statistics, learnt)
+    again = start_from_weights(dataclasses.replace(config, initial=str(path)), template).params
+    jax.tree.map(npt.assert_array_equal, again, learnt)
+    without = dataclasses.replace(plain, initial=str(path))
+    params = start_from_weights(without, programs.initial).params
+    jax.tree.map(npt.assert_array_equal, params, known.params)
+
+
+def test_a_placement_starts_afresh_where_weights_have_none_and_goes_on_where_they_have_one(
+    programs, tmp_path
+):
+    weights, plain = str(programs.directory / "weights.npz"), programs.run.config
+    known, flagg = load_weights(weights), dataclasses.replace(plain.flagg, placement=(4, 2, 1))
+    config = dataclasses.replace(plain, flagg=flagg, initial=weights)
+    places = random_params(Placement(4, 2, 1).init, on_device(own_world(), TWICE))
+    template = programs.initial._replace(
+        params=programs.initial.params._replace(placement=places),
+    )
+    params = start_from_weights(config, template).params
+    jax.tree.map(npt.assert_array_equal, params, known.params._replace(placement=places))
+    learnt = params._replace(placement=jax.tree.map(lambda leaf: leaf + 1, places))
+    path = save_weights(tmp_path / "placement.npz", config, known.statistics, learnt)
     again = start_from_weights(dataclasses.replace(config, initial=str(path)), template).params
     jax.tree.map(npt.assert_array_equal, again, learnt)
     without = dataclasses.replace(plain, initial=str(path))

@@ -12,7 +12,7 @@ from sg3d_jax.flagg.step import FlaggConfig, make_flagg
 from sg3d_jax.scene.graph import make_graph
 from sg3d_jax.scene.ontology import PLANE, ROOM
 from tests.growing_rooms import AddRooms, grows_rooms, stop_at
-from tests.two_rooms import on_device, two_rooms
+from tests.two_rooms import on_device, random_params, two_rooms
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +56,11 @@ def test_what_is_given_at_the_shell__takes_the_place_of_what_is_configured():
 
 @pytest.mark.parametrize(
     ("only", "lacks"),
-    [("kinds", "has no kinds"), ("upper", r"has no upper layers \(flagg\.upper\)")],
+    [
+        ("kinds", "has no kinds"),
+        ("upper", r"has no upper layers \(flagg\.upper\)"),
+        ("placement", r"has no placement \(flagg\.placement\)"),
+    ],
 )
 def test_what_a_configuration_lacks__cannot_be_trained_alone(only, lacks):
     for model in (grows_rooms(1), AddRooms()):
@@ -69,3 +73,12 @@ def test_the_upper_layers_alone__have_their_loss():
     params, graph = stop_at(9)._replace(upper=jnp.float32(7)), on_device(two_rooms())
     loss, terms = alone(model, "upper").loss(params, jax.random.key(0), graph)
     assert (float(loss), {name: float(term) for name, term in terms.items()}) == (7, {"upper_w": 7})
+
+
+def test_the_placement_alone__has_its_loss():
+    model = make_flagg(FlaggConfig(coins=(1,), placement=(4, 2, 1)), AddRooms())
+    graph, key = on_device(two_rooms()), jax.random.key(0)
+    params = stop_at(9)._replace(placement=random_params(model.placement.init, graph))
+    loss, terms = alone(model, "placement").loss(params, key, graph)
+    expected, _ = model.placement_loss(params, key, graph)
+    assert float(loss) == float(terms["placement"]) == float(expected) > 0

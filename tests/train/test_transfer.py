@@ -11,6 +11,7 @@ import pytest
 from sg3d_jax.data.furnished import FURNISHED_ONTOLOGY
 from sg3d_jax.flagg.halt import Halt
 from sg3d_jax.flagg.kinds import Kinds
+from sg3d_jax.flagg.placement import Placement
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.scene.graph import features_of, make_graph, undirected_edges
 from sg3d_jax.scene.ontology import PAPER_ONTOLOGY, PART_OF, PROXIMITY
@@ -76,6 +77,17 @@ def test_a_model_says_the_same_of_concepts_that_it_knew(method):
         npt.assert_allclose(one, same, atol=1e-5)
     assert found.shape[1] == FURNISHED_ONTOLOGY.num_concepts
     jax.tree.map(npt.assert_array_equal, carried.kinds, fresh.kinds)  # it had no such module
+
+
+def test_where_grown_nodes_stand_is_learnt_anew():
+    places = Placement(4, 2, 1)
+    one, other = (
+        {"placement": random_params(places.init, graph, seed=seed)}
+        for seed, graph in enumerate([on_device(two_rooms()), on_device(furnished_rooms())])
+    )
+    carried = carry(one, PAPER_ONTOLOGY, other, FURNISHED_ONTOLOGY)
+    jax.tree.map(npt.assert_array_equal, carried, other)
+    jax.tree.map(npt.assert_array_equal, carry({}, PAPER_ONTOLOGY, one, PAPER_ONTOLOGY), one)
 
 
 def with_kinds(*kinds):
