@@ -8,8 +8,9 @@
 With data, a row for the set as it is, and as a robot sees it (`data.robot.VIEWS`). Without, five
 rooms whose six walls are 0.09 to 0.40 m thick: the shares of walls and rooms that have exactly
 their planes. Recordings are graphs, a line each, with planes and the rooms that S-Graphs found: the
-shares of these that are found exactly, and with an IoU of planes of at least .5. Writes
-benchmarks/results/robot_NAME.json, NAME being that of the data, "walls" or "recordings".
+shares of these that are found exactly, and with an IoU of planes of at least .5. Writes to
+benchmarks/results/robot_NAME.json, NAME being that of the data, "walls" or "recordings": what it
+holds of other weights stays.
 """
 
 import argparse
@@ -165,9 +166,10 @@ def main() -> None:
         print(name, {key: value for key, value in rows[name].items() if key not in EFFECTS})
     label = Path(arguments.data).stem if arguments.data else "walls"
     label = "recordings" if arguments.recordings else label
-    about = provenance_of_script()
-    path = RESULTS / f"robot_{label}.json"
-    path.write_text(json.dumps({**about, "rows": rows}, indent=2) + "\n")
+    about, path = provenance_of_script(), RESULTS / f"robot_{label}.json"
+    results = json.loads(path.read_text()) if path.exists() else {}
+    results |= {name: {**about, "rows": own} for name, own in rows.items()}
+    path.write_text(json.dumps(results, indent=2) + "\n")
 
 
 if __name__ == "__main__":
