@@ -25,11 +25,21 @@ def expected(params):
     return placed(MODEL, params, SCENE, NUM_PLANES).nodes.position
 
 
-def test_grown_nodes_go_half_the_way_and_what_was_given_stays(params, expected):
+def test_grown_nodes_go_where_they_are_told_or_a_tenth_of_a_metre_and_what_was_given_stays(
+    params, expected
+):
     told = np.asarray(MODEL.placement.positions(params.placement, on_device(SCENE)))[:12]
-    npt.assert_allclose(expected, (SCENE.nodes.position + told) / 2, atol=1e-4)
+    way = told - SCENE.nodes.position
+    far = np.linalg.norm(way, axis=1)
+    assert far[NUM_PLANES:].min() > 0.15
+    moved_by = expected - SCENE.nodes.position
+    npt.assert_allclose(np.linalg.norm(moved_by, axis=1)[NUM_PLANES:], 0.1, atol=1e-6)
+    npt.assert_allclose(moved_by[NUM_PLANES:] * far[NUM_PLANES:, None] * 10, way[8:], atol=1e-3)
     npt.assert_array_equal(expected[:NUM_PLANES], SCENE.nodes.position[:NUM_PLANES])
-    assert (np.linalg.norm(expected - SCENE.nodes.position, axis=1)[NUM_PLANES:] > 0.01).all()
+    near = SCENE.nodes.position.copy()
+    near[NUM_PLANES:] = np.add(told[NUM_PLANES:], [0.03, -0.04, 0.05])
+    scene = SCENE._replace(nodes=SCENE.nodes._replace(position=near))
+    npt.assert_allclose(placed(MODEL, params, scene, 8).nodes.position[8:], told[8:], atol=1e-4)
     with_room = placed(MODEL, params, SCENE, 10).nodes.position
     npt.assert_array_equal(with_room[:10], SCENE.nodes.position[:10])
     npt.assert_array_equal(with_room[10:], expected[10:])
