@@ -5,7 +5,7 @@ centroid is off by what the others that might have been drawn are, and by what t
 measure. Once all edges are chosen, there is one best place: this is the regression that tells it.
 As FD4 does, it sees topology first and geometry second; as it draws nothing, it takes one pass.
 
-Source: ours; the order of FD4 (paper, Sec. "Full decomposition").
+Source: ours; the order is that of FD4 (paper, Sec. "Generating edges, labels and centroids").
 """
 
 import dataclasses
