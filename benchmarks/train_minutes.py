@@ -7,7 +7,7 @@ Of several devices each takes a batch of every step, and the rate grows by the s
 number (docs/scaling.md). Every minute what has been learnt is written, in case the machine is taken
 back. Who goes on from weights of the same concepts keeps what those know of their training set.
 With --only kinds or --only placement nothing is learnt but these, of graphs that are complete; a
-slot then costs a fifteenth or a tenth. With --only upper nothing is but the parameters of the upper
+slot then costs a fifteenth or a third. With --only upper nothing is but the parameters of the upper
 layers, those from the concept `flagg.upper` on, on cuts of their own; of graphs that have one node
 of it at most there are half as many as of others (those that --fresh-every draws later come as they
 are). All else stays as it was.
