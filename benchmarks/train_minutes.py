@@ -19,6 +19,7 @@ import argparse
 import dataclasses
 import json
 import time
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -59,25 +60,10 @@ ENDLESS = STEPS_A_CALL * 10**7  # steps; the clock ends a run
 
 
 @dataclasses.dataclass(frozen=True)
-class UpperAlone:
-    """The upper layers of a model, as something to train: `make_train_call` asks for a loss."""
+class Alone:
+    """One loss of a model, as something to train: `make_train_call` asks for a loss."""
 
-    model: Flagg
-
-    def loss(self, params: Params, key: Any, graph: SceneGraph) -> Any:
-        """Returns the loss of the parameters of the upper layers."""
-        return self.model.upper_loss(params, key, graph)
-
-
-@dataclasses.dataclass(frozen=True)
-class PlacementAlone:
-    """Where a model puts what it has grown, likewise."""
-
-    model: Flagg
-
-    def loss(self, params: Params, key: Any, graph: SceneGraph) -> Any:
-        """Returns the loss of the centroids of a complete graph."""
-        return self.model.placement_loss(params, key, graph)
+    loss: Callable[[Params, Any, SceneGraph], Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,9 +202,9 @@ def alone(model: Model, only: str) -> Any:
     if only == "kinds" and isinstance(model, Flagg) and model.kinds is not None:
         return KindsAlone(model.kinds, model.config.corruption)
     if only == "upper" and isinstance(model, Flagg) and model.config.upper:
-        return UpperAlone(model)
+        return Alone(model.upper_loss)
     if only == "placement" and isinstance(model, Flagg) and model.placement:
-        return PlacementAlone(model)
+        return Alone(model.placement_loss)
     raise SystemExit(f"--only {only}: what this configuration grows has no {LACKS[only]}")
 
 
