@@ -8,7 +8,9 @@ Seen from its front a plane is an axis. Another that comes to it ends a room the
 it looks to. Two that look away from each other are the faces of a wall: the strip between them is
 of neither room and is left out, so that pieces are as wide as the rooms are; a wall of which one
 face alone was seen has no such strip. The other may end a little before the plane, as what was
-occluded does; not so if it ends at something else: a corner, or what stands in between.
+occluded does; not so if it ends at something else: a corner, or what stands in between. A plane may
+also have been measured too wide, and go on behind its corner. So what is left at an end, if it is
+short, is a piece only where something closes it: another there that looks back along it.
 
 Published cities have storeys that were shrunk to fit the one below while their planes kept their
 widths: these poke through the corners of their rooms into others, but do not run along them. Since
@@ -62,6 +64,8 @@ class CutRules:
         metres.
       thickness: of a wall at most, metres; a shaft between two rooms is one, too.
       least: width of a piece at least, metres.
+      loose: what is left at an end that nothing closes is no piece if it is less than this share of
+        the width, and than `gap`.
       heading: how sure the heading of the other is, radians. Times half its width, it must meet the
         plane by so much farther from its ends.
       even: how well the overhangs of planes agree that were shrunk but kept their widths, metres.
@@ -82,6 +86,7 @@ class CutRules:
     storey: float = 1.5
     thickness: float = 1.0
     least: float = 0.25
+    loose: float = 0.1
     heading: float = 0.03
     even: float = 0.01
     again: float = 0.02
@@ -286,6 +291,7 @@ def _meetings(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Meetings:
     reaches = views.front + reach - np.maximum(near, 0) >= rules.depth
     room = planes.half[plane] - rules.least - rules.heading * planes.half[other]
     within = (free & sound)[plane] & sound[other] & comes & reaches & (np.abs(at) <= room)
+    within &= ~_loose(planes, plane, other, comes & (views.front + reach >= 0), rules)
     met = _Meetings(plane[within], other[within], at[within], near[within])
     doubtful = np.flatnonzero(met.rest > rules.touch)
     some = _Meetings(*(field[doubtful] for field in met))
@@ -355,6 +361,27 @@ def _overhanging(
     while not found[reached := other[found[plane]]].all():
         found[reached] = True
     return found
+
+
+def _loose(
+    planes: _Planes, plane: np.ndarray, other: np.ndarray, comes: np.ndarray, rules: CutRules
+) -> np.ndarray:
+    """Returns bool[m], where so little of a plane is left at an end that something has to close it.
+
+    Args:
+      planes: n of them.
+      plane: int[m], of the pairs that cross on one storey, and
+      other: int[m], what crosses it.
+      comes: bool[m], whether that comes to its front.
+      rules: what is little, and how near to the end it is closed.
+    """
+    at = _views(planes, plane, other).at
+    left = planes.half[plane] - np.abs(at)
+    end = np.where(at > 0, plane, ~plane)  # which plane, and which of its ends is nearer
+    looks_back = at * (planes.along[plane].conj() * planes.normal[other]).real < 0
+    closed = end[comes & looks_back & (np.abs(left) <= rules.slack)]
+    little = left < np.minimum(rules.gap, rules.loose * 2 * planes.half[plane])
+    return little & ~np.isin(end, closed)
 
 
 def _screened(planes: _Planes, met: _Meetings, rules: CutRules) -> np.ndarray:

@@ -181,8 +181,18 @@ def test_a_wall_of_which_one_face_was_seen_cuts_at_that_face(looks):
         ([*wall(4, near=0.6), (5, 4, 270, 10)], 2),  # the other side of the rooms
         ([*wall(4, near=0.6), (5, 0.5, 270, 3, 4.2)], 2),  # upstairs
         ([*wall(4, near=0.6), (7, 0.5, 270, 3)], 2),  # elsewhere
-        ([face(9.3, -1, near=0.8)], 2),
-        ([face(9.3, -1, near=0.8), (9.65, 0.4, 221, 1.06)], 1),  # an oblique corner
+        ([face(8.8, -1, near=0.8)], 2),
+        ([face(8.8, -1, near=0.8), (9.15, 0.4, 221, 1.06)], 1),  # an oblique corner
+        # Little is left at an end: the plane is too wide, or something closes what is left.
+        (wall(9.2), 1),
+        (wall(8.8), 2),
+        (wall(0.8), 1),
+        ([*wall(9.2), face(9.8, -1)], 2),
+        ([*wall(0.8), face(0.2, 1)], 2),
+        ([*wall(9.2), face(0, 1)], 1),  # closes the other end
+        ([*wall(9.2), face(10, 1)], 1),  # looks away
+        ([*wall(9.2), face(10, -1, near=1.1, far=4)], 1),  # too far away
+        ([*wall(9.2), face(10, -1, near=-3.0, far=-0.1)], 1),  # behind
     ],
 )
 def test_what_meets_a_plane_and_what_does_not(others, num_pieces):
