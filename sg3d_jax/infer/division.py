@@ -10,12 +10,14 @@ Source: ours.
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from sg3d_jax.infer.consensus import Version
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first, subgraph
+
+COARSE: Final = 2  # times as many as say finely must say coarsely; where it is so, they do
 
 
 def divided_alike(candidates: Sequence[SceneGraph], num_given: int) -> list[SceneGraph]:
@@ -107,8 +109,9 @@ def exchanged(
     """Exchanges wholes that are divided otherwise than most, where others have them so.
 
     A part of wholes with different sides says that they are divided finely, a whole with more sides
-    than it needs that they are not; all candidates and all places are counted together. Two wholes
-    with the same sides, as over a plane that was seen twice, say nothing.
+    than it needs that they are not; all candidates and all places are counted together. Finely is
+    what candidates are less plain about, so in doubt it is finely. Two wholes with the same sides,
+    as over a plane that was seen twice, say nothing.
 
     Args:
       ballots: the wholes of each candidate.
@@ -129,11 +132,9 @@ def exchanged(
         for ballot, of in pairs
     ]
     fine = sum(len(of_ballot) - len({part for part, _ in of_ballot}) for of_ballot in met)
-    if fine > coarse:
-        return [
-            _finely(ballot, lambda one, of=of: spare(one, of) > 0, ballots) for ballot, of in pairs
-        ]
-    return [_coarsely(ballot, ballots) for ballot in ballots] if coarse > fine else ballots
+    if coarse > COARSE * fine:
+        return [_coarsely(ballot, ballots) for ballot in ballots]
+    return [_finely(ballot, lambda one, of=of: spare(one, of) > 0, ballots) for ballot, of in pairs]
 
 
 def _finely(

@@ -13,7 +13,7 @@ from sg3d_jax.infer.lanes import Model, padded_around
 from sg3d_jax.scene.graph import PackedGraph, SceneGraph
 from sg3d_jax.scene.padding import Capacity
 
-REACH: Final = 0.1  # metres that a node is moved at most
+REACH: Final = 0.15  # metres that a node is moved at most
 
 
 def placed(
