@@ -258,6 +258,16 @@ def test_whole_floors_are_left_bit_for_bit():
         npt.assert_array_equal(pieces.width, given.nodes.width)
 
 
+def test_planes_that_were_measured_too_wide_are_seldom_cut():
+    rng, cut = np.random.default_rng(0), []
+    for index in range(40):
+        given = observed_of(make_scene(TRUE_WIDTHS, 0, index))
+        width = given.nodes.width * rng.uniform(1, 1.2, len(given.nodes.width))
+        too_wide = given._replace(nodes=given.nodes._replace(width=width))
+        cut += (np.bincount(cut_observed(too_wide).owner) > 1).tolist()
+    assert np.mean(cut) < 0.02
+
+
 def test_planes_that_a_robot_takes_for_one_are_cut_into_the_rooms_they_bound():
     wanted = found = 0
     for index in range(40):
