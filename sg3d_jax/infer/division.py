@@ -17,7 +17,7 @@ import numpy as np
 from sg3d_jax.infer.consensus import Version
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first, subgraph
 
-COARSE: Final = 2  # times as many as say finely must say coarsely; where it is so, they do
+COARSE: Final = 1.5  # times as many as say finely must say coarsely; where it is so, they do
 
 
 def divided_alike(candidates: Sequence[SceneGraph], num_given: int) -> list[SceneGraph]:
