@@ -291,7 +291,7 @@ def _meetings(planes: _Planes, free: np.ndarray, rules: CutRules) -> _Meetings:
     reaches = views.front + reach - np.maximum(near, 0) >= rules.depth
     room = planes.half[plane] - rules.least - rules.heading * planes.half[other]
     within = (free & sound)[plane] & sound[other] & comes & reaches & (np.abs(at) <= room)
-    within &= ~_loose(planes, plane, other, comes & (views.front + reach >= 0), rules)
+    within &= ~_loose(planes, plane, views, comes & (views.front + reach >= 0), rules)
     met = _Meetings(plane[within], other[within], at[within], near[within])
     doubtful = np.flatnonzero(met.rest > rules.touch)
     some = _Meetings(*(field[doubtful] for field in met))
@@ -364,22 +364,21 @@ def _overhanging(
 
 
 def _loose(
-    planes: _Planes, plane: np.ndarray, other: np.ndarray, comes: np.ndarray, rules: CutRules
+    planes: _Planes, plane: np.ndarray, views: _Views, comes: np.ndarray, rules: CutRules
 ) -> np.ndarray:
     """Returns bool[m], where so little of a plane is left at an end that something has to close it.
 
     Args:
       planes: n of them.
-      plane: int[m], of the pairs that cross on one storey, and
-      other: int[m], what crosses it.
-      comes: bool[m], whether that comes to its front.
+      plane: int[m], those that others cross on their storey.
+      views: of the m others.
+      comes: bool[m], whether these come to the front.
       rules: what is little, and how near to the end it is closed.
     """
-    at = _views(planes, plane, other).at
-    left = planes.half[plane] - np.abs(at)
+    at, left = views.at, planes.half[plane] - np.abs(views.at)
     end = np.where(at > 0, plane, ~plane)  # which plane, and which of its ends is nearer
-    looks_back = at * (planes.along[plane].conj() * planes.normal[other]).real < 0
-    closed = end[comes & looks_back & (np.abs(left) <= rules.slack)]
+    inward = at * views.slope > 0
+    closed = end[comes & inward & (np.abs(left) <= rules.slack)]
     little = left < np.minimum(rules.gap, rules.loose * 2 * planes.half[plane])
     return little & ~np.isin(end, closed)
 
