@@ -76,7 +76,7 @@ def complete(
       keep: take everything in the file as given, such as rooms that are known, and grow on.
       until: leave out of the result what is above this concept, such as room.
       without: leave these concepts out of the result, such as wall.
-      normals: turn those that point out of rooms all over, or take all as given.
+      normals: turn those that point out of rooms, or take all as given.
       cut: cut planes that rooms share where walls abut, and join the pieces again, and leave alone
         what shows a face again that an earlier plane shows; or never.
       lanes: scenes that a device grows together; results do not depend on it, but for rounding.

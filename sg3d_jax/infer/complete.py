@@ -125,7 +125,7 @@ def complete(
         1.25 new nodes a plane; else it ends there, with the halt reason CAPACITY.
       max_steps: a limit on the number of blocks, at least 1; any of them takes the same program.
       names: what a refusal calls each scene, such as "planes.jsonl: line 3".
-      normals: "check" to turn normals that point out of rooms all over, "as-given" to turn none.
+      normals: "check" to turn normals that point out of rooms, "as-given" to turn none.
       cut: "auto" to cut planes that several rooms share where other walls abut, and to join the
         pieces again, and to leave alone what shows a face again that an earlier plane shows;
         "never" to take all as they are.

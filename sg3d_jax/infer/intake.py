@@ -8,7 +8,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.infer.plausible import layout, look_flipped, remark_on_size, remarks_on_widths
+from sg3d_jax.infer.plausible import (
+    flipped_alone,
+    layout,
+    look_flipped,
+    remark_on_size,
+    remarks_on_widths,
+)
 from sg3d_jax.scene.graph import (
     SceneGraph,
     features_of,
@@ -50,7 +56,7 @@ def taken_in(
       ceilings, are left out.
     - Normals are brought to length 1.
     - Exact repeats are merged into the first of them, with their part-of edges.
-    - Normals that point out of rooms all over are turned.
+    - Normals that point out of rooms are turned, all over or one by one.
 
     Sizes and widths that are not plausible are said.
 
@@ -142,17 +148,21 @@ def _judged(graph: SceneGraph, normals: str) -> tuple[SceneGraph, list[str]]:
     if remark := remark_on_size(planes, plural):
         return graph, [remark]  # what is seen of normals and widths is seen by sizes
     remarks = remarks_on_widths(planes, plural)
-    votes = look_flipped(planes)
-    if votes is None:
+    if votes := look_flipped(planes):
+        backs, faces = votes
+        flipped, which = np.ones(len(planes.row), bool), "all normals"
+        why = f"{backs} {plural} have others behind them and none in front, {faces} the reverse"
+    elif (flipped := flipped_alone(planes)).any():
+        which = f"the normals of {_counted(int(flipped.sum()), ontology_of(graph))}"
+        why = "rooms are behind and a wall or nothing in front"
+    else:
         return graph, remarks
-    backs, faces = votes
-    why = f"{backs} {plural} have others behind them and none in front, {faces} the reverse"
     if normals == "as-given":
-        return graph, [f"kept all normals as given, though {why}", *remarks]
-    observed, normal = graph.nodes.observed[:, None], graph.nodes.normal
-    nodes = graph.nodes._replace(normal=np.where(observed, 0.0 - normal, normal))
-    said = f"turned all normals, since {why} (normals as-given keeps them)"
-    return graph._replace(nodes=nodes), [said, *remarks]
+        return graph, [f"kept {which} as given, though {why}", *remarks]
+    normal = np.array(graph.nodes.normal)
+    normal[planes.row[flipped]] = 0.0 - normal[planes.row[flipped]]
+    said = f"turned {which}, since {why} (normals as-given keeps them)"
+    return graph._replace(nodes=graph.nodes._replace(normal=normal)), [said, *remarks]
 
 
 def _counted(count: int, ontology: Ontology) -> str:

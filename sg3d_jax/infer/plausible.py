@@ -12,7 +12,7 @@ import numpy as np
 from sg3d_jax.scene.graph import SceneGraph, ontology_of
 
 # Measured on 300 of S-F-square, S-F and S-B each, 100 of S-C, 1,338 of P-F and three recordings.
-OPPOSITE: Final = -0.966  # cosine: 15 degrees
+ALIKE: Final = 0.966  # cosine: 15 degrees
 PARALLEL: Final = 0.3  # sine, up to which planes do not cross
 STOREY: Final = 1.5  # metres: beyond, centroids are not of one storey
 OVERLAP: Final = 0.2  # metres
@@ -24,6 +24,8 @@ DOLLS_HOUSE: Final = 0.8  # metres: half of the length is in narrower planes; le
 TOWN: Final = 30.0  # metres: half of the length is in wider planes; the most there is 13.6
 TOWN_HOUSE: Final = 12.0  # metres: likewise, of planes that show no wall as thin as walls are
 LEAST_WALLED: Final = 8  # planes, fewer of which may well show no wall: two rooms have eight
+CORNER: Final = 0.35  # metres from the end of one plane to that of the next, at most
+SAYING: Final = (2, 1, 1)  # of three things that a plane is flipped, more than the contrary
 CROSSING: Final = 0.3  # metres beyond which one plane passes through another
 CROSSED: Final = 0.5  # share of planes; the most there is 0.42, and widths times 1.5 make 0.52
 LEAST_EQUAL: Final = 5  # planes of one width: a square room has four
@@ -33,12 +35,15 @@ SQUARE: Final = 0.2  # share by which a room is off square
 class Layout(NamedTuple):
     """Planes seen from above, where (x, y) is the number x + iy."""
 
+    row: np.ndarray  # int[n], that each has in the graph
     place: np.ndarray  # complex[n], middle as seen from the first, metres
     height: np.ndarray  # float[n], metres
     normal: np.ndarray  # complex[n], unit
     width: np.ndarray  # float[n], metres
     front: np.ndarray  # float[n], how far before each is the nearest opposite it; or infinity
     back: np.ndarray  # float[n], how far behind it
+    alike_front: np.ndarray  # float[n], how far before each is the nearest that looks as it does
+    alike_back: np.ndarray  # float[n], how far behind it
 
 
 def layout(graph: SceneGraph) -> Layout:
@@ -51,17 +56,25 @@ def layout(graph: SceneGraph) -> Layout:
     rows = nodes.observed & (ontology.has("normal") & ontology.has("width"))[nodes.label]
     (x, y, height), width = nodes.position[rows].T, nodes.width[rows]
     place, normal = x + 1j * y, nodes.normal[rows, 0] + 1j * nodes.normal[rows, 1]
-    place -= place[:1]
+    return _layout(np.flatnonzero(rows), place - place[:1], height, normal, width)
+
+
+def _layout(
+    row: np.ndarray, place: np.ndarray, height: np.ndarray, normal: np.ndarray, width: np.ndarray
+) -> Layout:
+    """Measures how far before and behind each plane others are."""
     cosine = np.outer(normal.real, normal.real) + np.outer(normal.imag, normal.imag)
-    plane, other = np.nonzero((cosine < OPPOSITE) & _of_one_storey(height))
+    plane, other = np.nonzero((np.abs(cosine) > ALIKE) & _of_one_storey(height))
     seen = normal[plane].conj() * (place[other] - place[plane])
     overlap = (width[plane] + width[other]) / 2 - np.abs(seen.imag)
     nearest = []
-    for distance in (seen.real, -seen.real):
-        chosen, of_each = (overlap > OVERLAP) & (distance > TOUCHING), np.full(len(width), np.inf)
-        np.minimum.at(of_each, plane[chosen], distance[chosen])
-        nearest.append(of_each)
-    return Layout(place, height, normal, width, *nearest)
+    for looks in (cosine[plane, other] < 0, cosine[plane, other] > 0):
+        for distance in (seen.real, -seen.real):
+            chosen = looks & (overlap > OVERLAP) & (distance > TOUCHING)
+            of_each = np.full(len(width), np.inf)
+            np.minimum.at(of_each, plane[chosen], distance[chosen])
+            nearest.append(of_each)
+    return Layout(row, place, height, normal, width, *nearest)
 
 
 def look_flipped(planes: Layout) -> tuple[int, int] | None:
@@ -82,6 +95,64 @@ def look_flipped(planes: Layout) -> tuple[int, int] | None:
     votes = num_into_rooms(planes.back, planes.front)
     against = num_into_rooms(planes.front, planes.back)
     return (votes, against) if votes >= max(LEAST_VOTES, 2 * against) else None
+
+
+def flipped_alone(planes: Layout) -> np.ndarray:
+    """Decides which normals are flipped where those around them are not.
+
+    A plane that is flipped has a room behind it, and before it a wall, or nothing. That is so, too,
+    of one behind which a wall's other face was not seen, and across from which nothing was. So two
+    more must say so than say the contrary, of: the corners at its ends, and a wall before it, the
+    face of which looks as it does, not into its eyes. Where one is flipped others may be: of these
+    one must, and it is asked again, as one that is flipped misleads those around it.
+
+    Returns:
+      bool[n], which.
+    """
+    flipped = np.zeros(len(planes.width), bool)
+    for least in SAYING:
+        found = _look_into_walls(planes) >= least
+        if not found.any():
+            break
+        flipped ^= found
+        normal = np.where(found, -planes.normal, planes.normal)
+        planes = _layout(planes.row, planes.place, planes.height, normal, planes.width)
+    return flipped
+
+
+def _look_into_walls(planes: Layout) -> np.ndarray:
+    """Returns int[n], how many things more say that a plane is flipped than say the contrary.
+
+    Zero unless it has a room behind it, and a wall or nothing before it.
+    """
+    before = np.minimum(planes.front, planes.alike_front)
+    behind = np.minimum(planes.back, planes.alike_back)
+    is_wall = before <= THICK
+    may_be = np.isfinite(behind) & (behind > THICK) & (is_wall | np.isinf(before))
+    faces_away = np.where(planes.alike_front < planes.front, 1, -1)
+    return np.where(may_be, is_wall * faces_away - _corner_votes(planes), 0)
+
+
+def _corner_votes(planes: Layout) -> np.ndarray:
+    """Returns int[n], at how many of its two ends each plane goes with the next, less the others.
+
+    Who walks along a room, with its planes to the right, comes from the end of one to the beginning
+    of the next. Two beginnings, or two ends, in one corner belong to planes that do not both look
+    into a room.
+    """
+    crosses = np.abs((planes.normal[:, None].conj() * planes.normal).imag) > PARALLEL
+    crosses &= _of_one_storey(planes.height)
+    along = 0.5j * planes.normal * planes.width
+    ends = planes.place - along, planes.place + along
+    votes = np.zeros(len(planes.width), int)
+    for one, other in (ends, ends[::-1]):
+        same, next_ = (
+            np.where(crosses, np.abs(one[:, None] - end), np.inf).min(axis=1, initial=np.inf)
+            for end in (one, other)
+        )
+        meets = np.minimum(same, next_) < np.minimum(CORNER, planes.width / 2)
+        votes += meets * np.where(same < next_, -1, 1)
+    return votes
 
 
 def remark_on_size(planes: Layout, plural: str) -> str | None:

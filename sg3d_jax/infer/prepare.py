@@ -73,7 +73,7 @@ def prepare(
       ontology: the concepts that the model knows.
       keep: whether everything in a scene is given, such as known rooms, or its observed nodes only.
       names: what a refusal calls each scene; "scene 0", "scene 1" and so on by default.
-      normals: "check" to turn those that are flipped all over, "as-given" to turn none.
+      normals: "check" to turn those that are flipped, "as-given" to turn none.
       cut: "auto" to cut planes where other walls abut and to set aside what was seen again, "never"
         to take all as they are.
 

@@ -92,9 +92,9 @@ def test_repeats_are_merged_into_the_first(shift):
     scene = subgraph(observed_of(two_rooms()), [0, 1, 2, 1, 3, 0, 1])
     nodes = scene.nodes._replace(
         position=scene.nodes.position + shift * np.arange(7)[:, None],
-        normal=scene.nodes.normal * np.where(np.arange(7) == 3, -1.0, 1.0)[:, None] * [1, -1, 1],
+        normal=np.array(scene.nodes.normal),
     )
-    nodes.normal[3] *= [-1, -1, 1]  # a zero of the other sign is no other normal
+    nodes.normal[3][nodes.normal[3] == 0] = -0.0  # a zero of the other sign is no other normal
     graph, source, remarks = take(scene._replace(nodes=nodes))
     assert source.tolist() == [0, 1, 2, 4]
     npt.assert_array_equal(graph.nodes.position, nodes.position[source])
@@ -151,6 +151,20 @@ def test_normals_that_are_flipped_all_over_are_turned_unless_they_are_to_be_kept
     assert remark.startswith(f"{done} ")
     assert "have others behind them and none in front, 1 the reverse" in remark
     assert take(right, normals=choice).remarks == ()
+
+
+@pytest.mark.parametrize("choice", ["check", "as-given"])
+def test_a_normal_that_is_flipped_among_right_ones_is_turned_unless_all_are_to_be_kept(choice):
+    right = registry.make("s-f", 1)[0]
+    chosen = np.isin(np.arange(len(right.nodes.label)), [2, 12])[:, None]
+    normal = np.where(chosen, 0.0 - right.nodes.normal, right.nodes.normal)
+    flipped = right._replace(nodes=right.nodes._replace(normal=normal))
+    graph, _, remarks = take(flipped, normals=choice)
+    expected = right if choice == "check" else flipped
+    npt.assert_array_equal(graph.nodes.normal, expected.nodes.normal)
+    done = "turned" if choice == "check" else "kept"
+    (remark,) = remarks
+    assert remark.startswith(f"{done} the normals of 2 planes")
 
 
 def test_sizes_that_are_not_plausible_are_said_and_nothing_else_is_judged_by_them():

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from sg3d_jax.data import registry
-from sg3d_jax.infer.plausible import layout, look_flipped, remark_on_size, remarks_on_widths
+from sg3d_jax.infer.plausible import (
+    flipped_alone,
+    layout,
+    look_flipped,
+    remark_on_size,
+    remarks_on_widths,
+)
 from sg3d_jax.io.json import graph_from_dict
 from sg3d_jax.scene.graph import make_graph, observed_of
 from sg3d_jax.scene.ontology import PLANE
@@ -24,8 +30,11 @@ def scenes():
 
 
 def changed(graph, size=1.0, flip=False, width=lambda width: width):
+    """Returns a graph with other planes; `flip` is one for all, or bool[n]."""
     nodes = graph.nodes
-    normal = -nodes.normal if flip else nodes.normal
+    normal = np.where(
+        np.broadcast_to(flip, nodes.width.shape)[:, None], -nodes.normal, nodes.normal
+    )
     return make_graph(nodes.label, nodes.position * size, normal, width(nodes.width) * size)
 
 
@@ -46,6 +55,7 @@ def test_true_scenes_pass():
     for scene in [*scenes(), observed_of(own_world())]:
         planes = layout(scene)
         assert look_flipped(planes) is None
+        assert not flipped_alone(planes).any()
         assert remark_on_size(planes, "planes") is None
         assert remarks_on_widths(planes, "planes") == []
 
@@ -56,6 +66,7 @@ def test_recordings_pass():
         for line in file:
             planes = layout(observed_of(graph_from_dict(json.loads(line))))
             assert look_flipped(planes) is None
+            assert not flipped_alone(planes).any()
             assert remark_on_size(planes, "planes") is None
             assert remarks_on_widths(planes, "planes") == []
 
@@ -67,6 +78,7 @@ def test_floor_plans_pass(tmp_path):
     for graph in registry.import_file("p-f", tmp_path / "plans.jsonl")[0]:
         planes = layout(graph)
         assert look_flipped(planes) is None
+        assert not flipped_alone(planes).any()
         assert remark_on_size(planes, "planes") is None
         assert remarks_on_widths(planes, "planes") == []
 
@@ -96,6 +108,44 @@ def both(*graphs):
 
 def test_faces_of_a_wall_tell_flipped_normals_like_those_without_anything_behind():
     assert look_flipped(layout(both(room(flip=True), room(4.1, 8.1, flip=True)))) == (8, 0)
+
+
+@pytest.mark.parametrize(("share", "found", "wrong"), [(0.05, 0.7, 0.0), (0.2, 0.7, 0.001)])
+def test_normals_flipped_here_and_there_are_found(share, found, wrong):
+    rng, counts = np.random.default_rng(0), np.zeros((2, 2))
+    for scene in scenes():
+        flipped = rng.random(len(scene.nodes.label)) < share
+        told = flipped_alone(layout(changed(scene, flip=flipped)))
+        np.add.at(counts, (flipped.astype(int), told.astype(int)), 1)
+    of_right, of_flipped = counts[:, 1] / counts.sum(axis=1)
+    assert of_flipped >= found
+    assert of_right <= wrong
+
+
+def test_one_plane_of_a_room_alone_is_told_by_its_corners_and_one_of_a_pair_is_not():
+    alone = np.arange(4) == 1
+    assert flipped_alone(layout(changed(room(), flip=alone))).tolist() == alone.tolist()
+    assert not flipped_alone(layout(room())).any()
+    nodes = changed(room(), flip=alone).nodes
+    pair = make_graph([PLANE] * 2, nodes.position[:2], nodes.normal[:2], nodes.width[:2])
+    assert not flipped_alone(layout(pair)).any()
+
+
+def test_a_wall_in_front_tells_of_a_flipped_plane_where_another_is_flipped_for_sure():
+    """Two rooms side by side, of which the planes between them and opposite were seen, or all."""
+    nodes = both(room(), room(4.1, 8.1)).nodes
+    in_line = np.flatnonzero(nodes.normal[:, 1] == 0)
+    fields = (nodes.label, nodes.position, nodes.normal, nodes.width)
+    middle = make_graph(*(field[in_line] for field in fields))
+    assert not flipped_alone(layout(middle)).any()
+    for plane in np.flatnonzero(np.abs(middle.nodes.position[:, 0] - 4.05) < 0.1):
+        flipped = changed(middle, flip=np.arange(4) == plane)
+        assert not flipped_alone(layout(flipped)).any()
+        with_another = both(flipped, changed(room(20.0, 24.0), flip=np.arange(4) == 1))
+        assert np.flatnonzero(flipped_alone(layout(with_another))).tolist() == [plane, 5]
+    for plane in range(8):
+        flipped = changed(both(room(), room(4.1, 8.1)), flip=np.arange(8) == plane)
+        assert np.flatnonzero(flipped_alone(layout(flipped))).tolist() == [plane]
 
 
 def test_planes_of_other_storeys_do_not_face_each_other():
