@@ -154,7 +154,7 @@ def _judged(graph: SceneGraph, normals: str) -> tuple[SceneGraph, list[str]]:
         why = f"{backs} {plural} have others behind them and none in front, {faces} the reverse"
     elif (flipped := flipped_alone(planes)).any():
         which = f"the normals of {_counted(int(flipped.sum()), ontology_of(graph))}"
-        why = "rooms are behind and a wall or nothing in front"
+        why = "they look away from what they bound"
     else:
         return graph, remarks
     if normals == "as-given":
