@@ -4,8 +4,8 @@ It starts from the general weights: what they know of planes, walls, rooms and a
 carried over by the names of the concepts. On a clock: `benchmarks/train_minutes.py`. The weights
 that come with the package then went on from there, `--initial midi-furnished`, with other views:
 `--views 1 --data o-f:2500+o-c:700+o-f:2500@robot+o-c:700@robot+o-f:1500@robot_bare`; their kinds,
-of real floors too, with `--only kinds`; and units and what is above them with `--only upper`
-(RESULTS.md has the commands).
+of real floors too, with `--only kinds`; units and what is above them with `--only upper`; and where
+nodes stand with `--only placement` (RESULTS.md has the commands).
 """
 
 import dataclasses
