@@ -44,6 +44,7 @@ class Layout(NamedTuple):
     back: np.ndarray  # float[n], how far behind it
     alike_front: np.ndarray  # float[n], how far before each is the nearest that looks as it does
     alike_back: np.ndarray  # float[n], how far behind it
+    touched: np.ndarray  # bool[n], whether one opposite it stands where it does
 
 
 def layout(graph: SceneGraph) -> Layout:
@@ -74,7 +75,9 @@ def _layout(
             of_each = np.full(len(width), np.inf)
             np.minimum.at(of_each, plane[chosen], distance[chosen])
             nearest.append(of_each)
-    return Layout(row, place, height, normal, width, *nearest)
+    touching = (cosine[plane, other] < 0) & (overlap > OVERLAP) & (np.abs(seen.real) <= TOUCHING)
+    touched = np.isin(np.arange(len(width)), plane[touching])
+    return Layout(row, place, height, normal, width, *nearest, touched)
 
 
 def look_flipped(planes: Layout) -> tuple[int, int] | None:
@@ -129,6 +132,7 @@ def _look_into_walls(planes: Layout) -> np.ndarray:
     behind = np.minimum(planes.back, planes.alike_back)
     is_wall = before <= THICK
     may_be = np.isfinite(behind) & (behind > THICK) & (is_wall | np.isinf(before))
+    may_be &= ~planes.touched  # one face seen twice, once in place of the wall's other face
     faces_away = np.where(planes.alike_front < planes.front, 1, -1)
     return np.where(may_be, is_wall * faces_away - _corner_votes(planes), 0)
 

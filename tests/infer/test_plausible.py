@@ -148,6 +148,15 @@ def test_a_wall_in_front_tells_of_a_flipped_plane_where_another_is_flipped_for_s
         assert np.flatnonzero(flipped_alone(layout(flipped))).tolist() == [plane]
 
 
+def test_a_face_that_is_seen_again_in_place_of_the_other_one_is_not_flipped():
+    rooms = both(room(), room(4.1, 8.1))
+    nodes = rooms.nodes
+    (face,) = np.flatnonzero(nodes.position[:, 0] == 4)
+    fields = (nodes.label, nodes.position + np.array([0.11, 0, 0]), nodes.normal, nodes.width)
+    again = make_graph(*(field[[face]] for field in fields))
+    assert not flipped_alone(layout(both(rooms, again))).any()
+
+
 def test_planes_of_other_storeys_do_not_face_each_other():
     """Sides of a stairwell, each on another storey: there is nothing opposite."""
     nodes = room(flip=True).nodes
