@@ -29,6 +29,8 @@ from tests.tiny_run import (
     untrained_weights,
 )
 
+pytestmark = pytest.mark.slow
+
 FD4 = load_weights("fd4-s-f")
 
 

@@ -33,6 +33,8 @@ from tests.command_line import documents, refusal, run
 from tests.tiny_run import MODELS, NODES, ROOT, STATISTICS, small_floors
 from tests.two_rooms import on_device, random_params
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = ROOT / "examples"
 FILES = sorted(p for p in EXAMPLES.iterdir() if p.suffix in {".json", ".jsonl", ".csv"})
 OWN_FILL = EXAMPLES / "own_fill.py"

@@ -14,6 +14,8 @@ from sg3d_jax.scene.ontology import PLANE, ROOM
 from tests.growing_rooms import AddRooms, grows_rooms, stop_at
 from tests.two_rooms import on_device, random_params, two_rooms
 
+pytestmark = pytest.mark.slow
+
 
 @dataclasses.dataclass(frozen=True)
 class Wanted(AddRooms):
