@@ -126,7 +126,7 @@ def _with_block(
     """Returns a graph with the next block, and whether that was the last one."""
     key = jax.random.fold_in(key, growing.steps)
     grown = model.step(params, key, growing.graph, growing.closing, growing.upper)
-    steps = growing.steps + (grown.fits & (grown.upper == growing.upper))
+    steps = growing.steps + grown.inserted
     reason = jnp.where(steps >= max_steps, jnp.int32(MAX_STEPS), RUNNING)
     reason = jnp.where(num_twins(grown.graph) > TWINS, REPEATED, reason)
     reason = jnp.where(grown.halted, HALTED, reason)

@@ -83,10 +83,10 @@ def with_upper(params: Params, config: FlaggConfig) -> Params:
 class Growth(NamedTuple):
     """What one growth step leaves."""
 
-    graph: PackedGraph  # with the block, if it fitted
+    graph: PackedGraph  # with the block, if it was inserted
+    inserted: Array  # bool[], whether it was: it had room, and was not drawn in vain
     halted: Array  # bool[], Halt's decision
-    # bool[], whether the block had room; the graph is unchanged if not, and where `upper` begins
-    fits: Array
+    fits: Array  # bool[], whether the block had room
     closing: Array  # bool[], Halt would end, but something grown still lacks its whole
     upper: Array  # bool[], whether blocks are drawn by the parameters of the upper layers
 
@@ -238,6 +238,7 @@ class Flagg:
 
         Where the upper layers have parameters of their own, the first block of those is not
         inserted: it only says that what is below them is there, and they draw what comes next.
+        Where that is plain from the rules (`_ends_lower`) no block is drawn in vain.
 
         Args:
           params: of the modules, `fill` being what the block is drawn by (`drawing`).
@@ -262,9 +263,11 @@ class Flagg:
         turns = ~upper & jnp.any(block.mask) & jnp.all(self._upper[block.label] | ~block.mask)
         inserted = fits & ~turns
         grown = jax.tree.map(lambda new, old: jnp.where(inserted, new, old), grown, graph)
-        halted, closes = self.halts(params, key_halt, grown)
+        rules = self._rules(grown) if self.config.constrained else None
+        halted, closes = self._halts(params, key_halt, grown, rules)
         closes = jnp.where(turns, closing, closes)
-        return Growth(grown, halted & ~turns, fits | turns, closes, upper | turns)
+        upper |= turns | (inserted & self._ends_lower(grown, rules))
+        return Growth(grown, inserted, halted & ~turns, fits | turns, closes, upper)
 
     def drawing(self, params: Params, upper: Bool[Array, ""]) -> Params:
         """Returns the parameters with those in the place of `fill` that draw blocks now."""
@@ -276,6 +279,20 @@ class Flagg:
     def ends_upper(self, graph: PackedGraph) -> Bool[Array, ""]:
         """Returns whether the last node of a packed graph is of the upper layers."""
         return self._upper[graph.nodes.label[jnp.sum(graph.nodes.mask) - 1]]
+
+    def _ends_lower(self, graph: PackedGraph, rules: Rules | None) -> Bool[Array, ""] | bool:
+        """Returns whether nothing but the upper layers can come after the last node of a graph.
+
+        That is where it is of the layer below them, the last to come, and the rules allow no more
+        of that: every plane has its room.
+        """
+        order = grown_layers(self.ontology, self.config.layers)
+        place = order.index(self.config.upper) if self.config.upper else 0
+        if place == 0 or rules is None:
+            return False
+        below = self.ontology.label_of(order[place - 1])
+        last = graph.nodes.label[jnp.sum(graph.nodes.mask) - 1]
+        return (last == below) & ~rules.label[below]
 
     @property
     def _upper(self) -> Bool[Array, " C"]:
@@ -289,11 +306,17 @@ class Flagg:
         A graph in which something grown lacks the whole that is due does not end while a block can
         mend that; one to which nothing can be added does.
         """
+        rules = self._rules(graph) if self.config.constrained else None
+        return self._halts(params, key, graph, rules)
+
+    def _halts(
+        self, params: Params, key: Key[Array, ""], graph: SceneGraph, rules: Rules | None
+    ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+        """Returns what `halts` does, given the rules of the graph; None where none are kept."""
         logit = self.halt.logit(params.halt, graph)
         wants = draw_halt(key, logit, self.config.halt_by_threshold)
-        if not self.config.constrained:
+        if rules is None:
             return wants, jnp.zeros((), bool)
-        rules = self._rules(graph)
         ends = is_whole(graph, self.config.layers) | ~jnp.any(rules.closes)
         halted = (wants & ends) | ~jnp.any(rules.label)
         return halted, wants & ~halted

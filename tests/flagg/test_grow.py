@@ -18,8 +18,9 @@ from sg3d_jax.flagg.grow import (
 )
 from sg3d_jax.flagg.step import Flagg, FlaggConfig
 from sg3d_jax.scene.graph import SceneGraph, make_graph, observed_of, subgraph, undirected_edges
-from sg3d_jax.scene.ontology import FLOOR, PART_OF, PROXIMITY, ROOM
+from sg3d_jax.scene.ontology import FLOOR, PART_OF, PROXIMITY, ROOM, WALL
 from sg3d_jax.scene.padding import Block, Capacity, masked, stack, unpad
+from sg3d_jax.scene.proximity import connect_observed
 from sg3d_jax.scene.validate import validate_graph
 from tests.growing_rooms import (
     MODEL,
@@ -251,6 +252,35 @@ def test_a_graph_does_not_end__where_the_upper_layers_begin():
     grown = growing(in_layers("floor"), params, jax.random.key(0), given(rooms))
     assert (grown.halt_reason, grown.steps) == (HALTED, 1)
     assert drawn_by(grown.graph, NUM_PLANES + 3) == [2]
+
+
+@dataclasses.dataclass(frozen=True)
+class AddOne(AddRooms):
+    """A Fill that draws a node of the first few planes."""
+
+    planes: int = NUM_PLANES
+
+    def parts(self, key, num_block, graph):
+        return jnp.arange(len(graph.nodes.mask))[None] < jnp.full((num_block, 1), self.planes)
+
+
+@pytest.mark.parametrize(
+    ("scene", "fill", "rules", "expected"),
+    [
+        (observed_of(SCENE), AddOne(ROOM), {}, True),
+        (observed_of(SCENE), AddOne(ROOM, planes=NUM_PLANES - 1), {}, False),
+        (KNOWN, AddOne(WALL), {}, False),
+        (observed_of(SCENE), AddOne(ROOM), {"constrained": False}, False),
+        (observed_of(SCENE), AddOne(ROOM), {"upper": ""}, False),
+    ],
+    ids=["room", "another room", "wall", "any rooms", "no upper layers"],
+)
+def test_upper_layers__begin_where_no_room_can_follow_the_last(scene, fill, rules, expected):
+    """So that no block is drawn only to find that out."""
+    config = FlaggConfig(coins=(1,), **({"upper": "floor"} | rules))
+    model, key = Flagg(config, Even(1, 1, 1), fill, Counting(1, 1)), jax.random.key(0)
+    grown = jax.jit(model.step)(NEVER, key, connect_observed(given(scene)))
+    assert (bool(grown.inserted), bool(grown.fits), bool(grown.upper)) == (True, True, expected)
 
 
 def test_upper_layers__go_on_in_a_larger_graph():
