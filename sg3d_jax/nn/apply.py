@@ -33,7 +33,7 @@ class Dense(nn.Module):
     def __call__(self, inputs: Float[Array, "... D"]) -> Float[Array, "... K"]:
         """Returns W x + b."""
         kernel = self._parameter("kernel", self.kernel_init, (inputs.shape[-1], self.features))
-        outputs = jax.lax.dot_general(inputs, kernel, (((inputs.ndim - 1,), (0,)), ((), ())))
+        outputs = _product(inputs, kernel)
         if not self.use_bias:
             return outputs
         bias = self._parameter("bias", nn.initializers.zeros, (self.features,))
@@ -46,6 +46,18 @@ class Dense(nn.Module):
         if value.shape != shape:
             raise errors.ScopeParamShapeError(name, "/" + "/".join(self.path), value.shape, shape)
         return value
+
+
+def _product(inputs: Float[Array, "... D"], kernel: Float[Array, "D K"]) -> Float[Array, "... K"]:
+    """Returns inputs @ kernel; of one row as the first of two, the other of zeros.
+
+    XLA would make a loop of single additions of the product of one row with what `stacked` slices,
+    a quarter of the time that a CPU takes to grow a floor.
+    """
+    if inputs.size == kernel.shape[0]:
+        rows = jnp.pad(inputs.reshape(1, -1), ((0, 1), (0, 0)))
+        return (rows @ kernel)[0].reshape(*inputs.shape[:-1], -1)
+    return jax.lax.dot_general(inputs, kernel, (((inputs.ndim - 1,), (0,)), ((), ())))
 
 
 def stacked(layer: type[nn.Module], number: int, in_axes: Any = nn.broadcast) -> Any:

@@ -26,19 +26,21 @@ from sg3d_jax.nn.gine import GINE
 from sg3d_jax.nn.kin import connect_kin
 from sg3d_jax.scene.graph import SceneGraph
 
+FEW_NODES = 96  # of which a dense matrix costs less than a list of edges, as measured on a CPU
+
 
 class Gates(NamedTuple):
     """H gates on each edge of the old graph, along which rows are propagated.
 
     Few rows are scattered along the edges, at a cost of O(M E), so that growing stays linear in the
     graph. Many rows, those of a one-shot model, are multiplied by a dense matrix: O(M N^2) with a
-    constant some twenty times smaller.
+    constant some twenty times smaller. So are rows of few nodes, `FEW_NODES` at most.
     """
 
     values: Array  # float[E, H], zero at padding
     senders: Array  # int32[E]
     receivers: Array  # int32[E]
-    dense: Array | None  # float[H, N, N], receiver x sender; None for few rows
+    dense: Array | None  # float[H, N, N], receiver x sender; None for few rows of many nodes
 
 
 class Conditioning(NamedTuple):
@@ -81,9 +83,8 @@ class OldGraphEncoder(nn.Module):
         pair = Dense(self.width, use_bias=False, name="pair")(encoding.edges)
         pair += jnp.take(sender, graph.senders, 0) + jnp.take(receiver, graph.receivers, 0)
         values = Dense(self.gates, name="gates")(nn.relu(pair)) * graph.edges.mask[:, None]
-        dense = None
-        if self.many_rows:
-            num_nodes = graph.nodes.mask.shape[0]
+        dense, num_nodes = None, graph.nodes.mask.shape[0]
+        if self.many_rows or num_nodes <= FEW_NODES:
             dense = jnp.zeros((num_nodes, num_nodes, self.gates))
             dense = jnp.moveaxis(dense.at[graph.receivers, graph.senders].add(values), -1, 0)
         return Conditioning(

@@ -43,6 +43,13 @@ def test_outputs__are_those_of_linen_with_the_same_parameters(case):
     npt.assert_array_equal(ours, linens)
 
 
+def test_outputs__of_one_row_are_those_of_linen():
+    row = INPUTS[:1, :1]
+    outputs = [apply(layer(5), GIVEN, row) for layer in (Dense, nn.Dense)]
+    assert outputs[0].shape == (1, 1, 5)
+    npt.assert_allclose(*outputs, rtol=1e-6)
+
+
 @pytest.mark.parametrize(("name", "shape"), [("kernel", (4, 5)), ("bias", (6,))])
 def test_parameters_of_another_shape__are_refused(name, shape):
     wrong = {"params": GIVEN["params"] | {name: np.ones(shape, "f")}}
