@@ -254,7 +254,7 @@ class Flagg:
         coins = self.config.coins
         size = draw_size(key_insert, self.insert.logits(params.insert, graph), coins)
         block_mask: Bool[Array, " M"] = jnp.arange(max(coins)) < size
-        rules = self._rules(graph, closing) if self.config.constrained else None
+        rules = self._rules(graph, closing)
         block: Block = self.fill.sample(params.fill, key_fill, graph, block_mask, rules)
         grown, fits = append_block(graph, block)
         if self.fill.kin:
@@ -263,7 +263,7 @@ class Flagg:
         turns = ~upper & jnp.any(block.mask) & jnp.all(self._upper[block.label] | ~block.mask)
         inserted = fits & ~turns
         grown = jax.tree.map(lambda new, old: jnp.where(inserted, new, old), grown, graph)
-        rules = self._rules(grown) if self.config.constrained else None
+        rules = self._rules(grown)
         halted, closes = self._halts(params, key_halt, grown, rules)
         closes = jnp.where(turns, closing, closes)
         upper |= turns | (inserted & self._ends_lower(grown, rules))
@@ -306,8 +306,7 @@ class Flagg:
         A graph in which something grown lacks the whole that is due does not end while a block can
         mend that; one to which nothing can be added does.
         """
-        rules = self._rules(graph) if self.config.constrained else None
-        return self._halts(params, key, graph, rules)
+        return self._halts(params, key, graph, self._rules(graph))
 
     def _halts(
         self, params: Params, key: Key[Array, ""], graph: SceneGraph, rules: Rules | None
@@ -321,7 +320,9 @@ class Flagg:
         halted = (wants & ends) | ~jnp.any(rules.label)
         return halted, wants & ~halted
 
-    def _rules(self, graph: SceneGraph, closing: Bool[Array, ""] | bool = False) -> Rules:
+    def _rules(self, graph: SceneGraph, closing: Bool[Array, ""] | bool = False) -> Rules | None:
+        if not self.config.constrained:
+            return None
         return rules_of(graph, max(self.config.coins), self.config.layers, closing)
 
 

@@ -45,7 +45,7 @@ def test_outputs__are_those_of_linen_with_the_same_parameters(case):
 
 def test_outputs__of_one_row_are_those_of_linen():
     row = INPUTS[:1, :1]
-    outputs = [apply(layer(5), GIVEN, row) for layer in (Dense, nn.Dense)]
+    outputs = [jax.jit(layer(5).apply)(GIVEN, row) for layer in (Dense, nn.Dense)]
     assert outputs[0].shape == (1, 1, 5)
     npt.assert_allclose(*outputs, rtol=1e-6)
 

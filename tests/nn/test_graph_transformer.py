@@ -9,6 +9,7 @@ import pytest
 from sg3d_jax.nn.apply import apply
 from sg3d_jax.nn.embed import surface_of
 from sg3d_jax.nn.graph_transformer import (
+    FEW_NODES,
     Conditioning,
     DistanceNetwork,
     Gates,
@@ -20,6 +21,7 @@ from sg3d_jax.nn.graph_transformer import (
 )
 from sg3d_jax.nn.kin import connect_kin
 from sg3d_jax.scene.ontology import FLOOR, PAPER_ONTOLOGY, ROOM, WALL
+from sg3d_jax.scene.padding import Capacity
 from tests.nn.gradients import with_gradient
 from tests.two_rooms import (
     CAPACITY,
@@ -39,6 +41,7 @@ NUM_CONCEPTS = PAPER_ONTOLOGY.num_concepts
 ENCODER = OldGraphEncoder(8, 1, 3)
 TOPOLOGY = RectangleTransformer(8, 8, 1, 2, 3, NUM_CONCEPTS)
 LENGTHS = DistanceNetwork(8, 1, NUM_CONCEPTS)
+MANY_NODES = Capacity(FEW_NODES + 8, 128)
 
 
 class Inputs(NamedTuple):
@@ -257,14 +260,17 @@ def test_rows__travel_along_the_gated_edges_alike_by_scatter_and_by_product():
         np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_the_encoder__has_the_same_gates_for_few_rows_and_for_many(params):
-    made = encodings(params["encoder"], on_device(SCENE))
-    few, many = made["plain"].gates, made["many rows"].gates
-    assert few.dense is None
-    assert many.dense is not None
-    rows = np.random.default_rng(0).normal(size=(2, CAPACITY.nodes, 3)).astype("f")
-    found, expected = propagate_all([few, many], rows)
+def test_the_encoder__has_the_same_gates_as_a_list_of_edges_and_as_a_matrix(params):
+    small = encodings(params["encoder"], on_device(SCENE))["plain"].gates
+    made = encodings(params["encoder"], on_device(SCENE, MANY_NODES))
+    gates = [made["plain"].gates, made["many rows"].gates, small]
+    assert [one.dense is None for one in gates] == [True, False, False]
+    rows = np.random.default_rng(0).normal(size=(2, MANY_NODES.nodes, 3)).astype("f")
+    rows[:, CAPACITY.nodes :] = 0
+    expected, found = propagate_all(gates[:2], rows)
     np.testing.assert_allclose(found, expected, atol=1e-5)
+    (found,) = propagate_all(gates[2:], rows[:, : CAPACITY.nodes])
+    np.testing.assert_allclose(found, expected[:, : CAPACITY.nodes], atol=1e-5)
 
 
 def test_the_encoder__sees_edges_between_kin_if_it_is_told_to(params):
