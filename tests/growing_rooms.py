@@ -17,9 +17,10 @@ from sg3d_jax.scene.padding import Block
 
 @dataclasses.dataclass(frozen=True)
 class AddRooms:
-    """Fills a block with rooms of the first two planes, anywhere within a metre of the origin."""
+    """Fills a block with rooms of the first planes, anywhere within a metre of the origin."""
 
     label: int = ROOM  # or with nodes of another concept
+    planes: int = 2  # of each
     ontology: Ontology = PAPER_ONTOLOGY
     kin: int = 8  # a room more than a third of the slots does not fit
 
@@ -40,7 +41,7 @@ class AddRooms:
         return Block(jnp.where(mask, self.label, 0), position, edges, mask)
 
     def parts(self, key: jax.Array, num_block: int, graph: PackedGraph) -> jax.Array:
-        return jnp.zeros((num_block, len(graph.nodes.mask)), bool).at[:, :2].set(True)
+        return jnp.zeros((num_block, len(graph.nodes.mask)), bool).at[:, : self.planes].set(True)
 
 
 @dataclasses.dataclass(frozen=True)

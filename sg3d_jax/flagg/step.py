@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from sg3d_jax.diffusion.threefry import unrolled
 from sg3d_jax.fill.constraints import Rules, is_whole, rules_of
@@ -238,7 +238,7 @@ class Flagg:
 
         Where the upper layers have parameters of their own, the first block of those is not
         inserted: it only says that what is below them is there, and they draw what comes next.
-        Where that is plain from the rules (`_ends_lower`) no block is drawn in vain.
+        Where that is plain from the order and the rules (`_ends_lower`) none is drawn in vain.
 
         Args:
           params: of the modules, `fill` being what the block is drawn by (`drawing`).
@@ -278,21 +278,20 @@ class Flagg:
 
     def ends_upper(self, graph: PackedGraph) -> Bool[Array, ""]:
         """Returns whether the last node of a packed graph is of the upper layers."""
-        return self._upper[graph.nodes.label[jnp.sum(graph.nodes.mask) - 1]]
+        return self._upper[_last_label(graph)]
 
     def _ends_lower(self, graph: PackedGraph, rules: Rules | None) -> Bool[Array, ""] | bool:
         """Returns whether nothing but the upper layers can come after the last node of a graph.
 
-        That is where it is of the layer below them, the last to come, and the rules allow no more
-        of that: every plane has its room.
+        That is where it is of the layer below them, which comes last in the order of insertion, and
+        the rules allow no more of that: every plane has its room.
         """
         order = grown_layers(self.ontology, self.config.layers)
         place = order.index(self.config.upper) if self.config.upper else 0
         if place == 0 or rules is None:
             return False
         below = self.ontology.label_of(order[place - 1])
-        last = graph.nodes.label[jnp.sum(graph.nodes.mask) - 1]
-        return (last == below) & ~rules.label[below]
+        return (_last_label(graph) == below) & ~rules.label[below]
 
     @property
     def _upper(self) -> Bool[Array, " C"]:
@@ -324,6 +323,11 @@ class Flagg:
         if not self.config.constrained:
             return None
         return rules_of(graph, max(self.config.coins), self.config.layers, closing)
+
+
+def _last_label(graph: PackedGraph) -> Int[Array, ""]:
+    """Returns the label of the last node of a packed graph."""
+    return graph.nodes.label[jnp.sum(graph.nodes.mask) - 1]
 
 
 def check_grows(model: Any, params: Any) -> None:

@@ -254,24 +254,14 @@ def test_a_graph_does_not_end__where_the_upper_layers_begin():
     assert drawn_by(grown.graph, NUM_PLANES + 3) == [2]
 
 
-@dataclasses.dataclass(frozen=True)
-class AddOne(AddRooms):
-    """A Fill that draws a node of the first few planes."""
-
-    planes: int = NUM_PLANES
-
-    def parts(self, key, num_block, graph):
-        return jnp.arange(len(graph.nodes.mask))[None] < jnp.full((num_block, 1), self.planes)
-
-
 @pytest.mark.parametrize(
     ("scene", "fill", "rules", "expected"),
     [
-        (observed_of(SCENE), AddOne(ROOM), {}, True),
-        (observed_of(SCENE), AddOne(ROOM, planes=NUM_PLANES - 1), {}, False),
-        (KNOWN, AddOne(WALL), {}, False),
-        (observed_of(SCENE), AddOne(ROOM), {"constrained": False}, False),
-        (observed_of(SCENE), AddOne(ROOM), {"upper": ""}, False),
+        (observed_of(SCENE), AddRooms(planes=NUM_PLANES), {}, True),
+        (observed_of(SCENE), AddRooms(planes=NUM_PLANES - 1), {}, False),
+        (KNOWN, AddRooms(WALL), {}, False),
+        (observed_of(SCENE), AddRooms(planes=NUM_PLANES), {"constrained": False}, False),
+        (observed_of(SCENE), AddRooms(planes=NUM_PLANES), {"upper": ""}, False),
     ],
     ids=["room", "another room", "wall", "any rooms", "no upper layers"],
 )
