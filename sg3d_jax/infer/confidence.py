@@ -127,7 +127,7 @@ def _as_called_in(own: _Read, draw: _Read, num_given: int) -> _Read:
     names = {
         one: _nearest(one, grown)
         for one in draw.of_nodes[num_given:]
-        if one not in known and one[1].count(1) >= LEAST_NEARLY
+        if one not in known and one[1].bit_count() >= LEAST_NEARLY
     }
     return _Read(
         [names.get(one, one) for one in draw.of_nodes],
@@ -138,11 +138,11 @@ def _as_called_in(own: _Read, draw: _Read, num_given: int) -> _Read:
 def _nearest(one: Identity, others: Sequence[Identity]) -> Identity:
     """Returns which of some others is nearly the same, or the one itself."""
     concept, below, number = one
-    own, shares = np.frombuffer(below, bool), {}
-    for other in others:
-        if (other[0], other[2]) == (concept, number):
-            theirs = np.frombuffer(other[1], bool)
-            shares[other] = np.sum(own & theirs) / np.sum(own | theirs)
+    shares = {
+        other: (below & other[1]).bit_count() / (below | other[1]).bit_count()
+        for other in others
+        if (other[0], other[2]) == (concept, number)
+    }
     best = max(shares, key=lambda other: shares[other], default=one)
     return best if shares.get(best, 0.0) >= NEARLY else one
 

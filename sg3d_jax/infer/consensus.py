@@ -36,7 +36,7 @@ import numpy as np
 
 from sg3d_jax.infer.candidates import most_agreeing, num_flaws
 from sg3d_jax.infer.confidence import likely
-from sg3d_jax.metrics.calibration import observed_below
+from sg3d_jax.metrics.calibration import bits_below
 from sg3d_jax.scene.graph import SceneGraph, extended, ontology_of, parts_first, subgraph
 
 # Share of the parts that belong to nothing, about as in training. Where a scene has so many, a part
@@ -63,7 +63,7 @@ class _Candidate(NamedTuple):
 
     label: np.ndarray  # int[n]
     position: np.ndarray  # float64[n, 3], metres
-    below: np.ndarray  # bool[n, o], what is observed below each node
+    below: list[int]  # what is observed below each node, as bits
     edge: np.ndarray  # bool[given, n], whether a given node is part of a node
 
 
@@ -72,7 +72,7 @@ class _Draft(NamedTuple):
 
     num_given: int
     label: list[int]  # of each node
-    below: list[np.ndarray]  # bool[o], of each node
+    below: list[int]  # what is observed below each node, as bits
     position: list[np.ndarray]  # float64[3], of each node that was not given, metres
     pairs: list[tuple[int, int]]  # part and whole, not both given
 
@@ -105,7 +105,7 @@ def _assembled(graphs: Sequence[SceneGraph], num_given: int, start: int) -> Scen
     """Returns the graph of the wholes that are elected, concept by concept."""
     given, ontology = subgraph(graphs[start], np.arange(num_given)), ontology_of(graphs[start])
     candidates = [_read(graph, num_given) for graph in graphs]
-    draft = _Draft(num_given, given.nodes.label.tolist(), [*observed_below(given)], [], [])
+    draft = _Draft(num_given, given.nodes.label.tolist(), bits_below(given), [], [])
     for concept in np.flatnonzero(ontology.may_be_part.any(axis=0)).tolist():
         parts = np.flatnonzero(ontology.may_be_part[draft.label, concept])
         if not len(parts):
@@ -137,7 +137,7 @@ def _read(graph: SceneGraph, num_given: int) -> _Candidate:
     edge = np.zeros((num_given, len(label)), bool)
     part, whole = pairs[pairs[:, 0] < num_given].T
     edge[part, whole] = True
-    return _Candidate(label, np.asarray(graph.nodes.position), observed_below(graph), edge)
+    return _Candidate(label, np.asarray(graph.nodes.position), bits_below(graph), edge)
 
 
 def _ballot(
@@ -153,19 +153,23 @@ def _ballot(
       concept: their label.
     """
     wholes = np.flatnonzero(candidate.label == concept)
-    below = np.stack([draft.below[part] for part in parts]).astype(int)
-    shared = below @ candidate.below[wholes].T
-    holds = 2 * shared > below.sum(axis=1)[:, None]
-    if len(wholes):  # a door is below two: what has but doors in common is part of one of them
-        most = np.arange(len(wholes)) == shared.argmax(axis=1)[:, None]
-        holds &= most | ~has_one[:, None]
     given = parts < draft.num_given
+    holds = np.zeros((len(parts), len(wholes)), bool)
     holds[given] = candidate.edge[parts[given]][:, wholes]
-    label = np.array(draft.label)[parts]
+    if len(wholes) and not given.all():
+        below = [draft.below[part] for part in parts[~given].tolist()]
+        of_wholes = [candidate.below[whole] for whole in wholes.tolist()]
+        shared = np.array([[(one & whole).bit_count() for whole in of_wholes] for one in below])
+        most = np.array([[one.bit_count() / 2] for one in below])
+        foremost = np.arange(len(wholes)) == shared.argmax(axis=1)[:, None]
+        # A door is below two: what has but doors in common is part of one of them.
+        holds[~given] = (shared > most) & (foremost | ~has_one[~given, None])
     ballot, before = {}, Counter()
     for whole, held in zip(wholes.tolist(), holds.T, strict=True):
-        lowest = held & (label == label[held].min(initial=concept))
-        of_whole, others = (frozenset(parts[of].tolist()) for of in (lowest, held & ~lowest))
+        rows = parts[held].tolist()
+        lowest = min((draft.label[row] for row in rows), default=concept)
+        of_whole = frozenset(row for row in rows if draft.label[row] == lowest)
+        others = frozenset(rows) - of_whole
         if whole < draft.num_given:
             ballot[Version(whole, of_whole)] = _Held(whole, others)
         elif of_whole:
@@ -176,7 +180,9 @@ def _ballot(
 
 def _with_whole(draft: _Draft, version: Version, concept: int, position: np.ndarray) -> _Draft:
     """Returns a draft with one more whole, or with the parts of a given one."""
-    below = np.any([draft.below[part] for part in version.parts], axis=0)
+    below = 0
+    for part in version.parts:
+        below |= draft.below[part]
     if version.row < 0:
         row = len(draft.label)
         draft = draft._replace(

@@ -5,7 +5,7 @@ right if the truth has one that stands for the same, an edge if the truth has on
 nothing needs to be matched, and a graph is right all over if and only if its structure is exact.
 """
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
@@ -16,7 +16,8 @@ from sg3d_jax.scene.padding import unpad_all
 
 BINS: Final = 10
 
-Identity = tuple[int, bytes, int]  # concept, what is observed below, how many such came before it
+# Concept; what is observed below, as the bits of a number; how many such came before it.
+Identity = tuple[int, int, int]
 
 
 class Reliability(NamedTuple):
@@ -110,13 +111,14 @@ def identities(graph: SceneGraph) -> list[Identity]:
     Of what is observed below a node the lowest concept says what it stands for, as planes do of a
     room: a chair that is thought to be next door makes no other room of it.
     """
-    before, known = Counter(), []
-    below, label = observed_below(graph), np.asarray(graph.nodes.label)
+    label, below = np.asarray(graph.nodes.label), bits_below(graph)
     observed = label[np.asarray(graph.nodes.observed)]
-    lowest = np.where(below, observed, np.inf).min(axis=1, initial=np.inf)
-    below &= observed == lowest[:, None]
-    for concept, row in zip(label.tolist(), below, strict=True):
-        stands_for = concept, row.tobytes()
+    lowest = [0] * len(label)
+    for concept in sorted({*observed.tolist()}, reverse=True):
+        of_concept = sum(1 << bit for bit in np.flatnonzero(observed == concept).tolist())
+        lowest = [held & of_concept or other for held, other in zip(below, lowest, strict=True)]
+    before, known = defaultdict(int), []
+    for stands_for in zip(label.tolist(), lowest, strict=True):
         known.append((*stands_for, before[stands_for]))
         before[stands_for] += 1
     return known
@@ -140,12 +142,22 @@ def observed_below(graph: SceneGraph) -> np.ndarray:
 
     What is observed is below itself alone.
     """
-    label, observed = np.asarray(graph.nodes.label), np.flatnonzero(graph.nodes.observed)
-    itself = np.eye(len(observed), dtype=bool)
-    below = np.zeros((len(label), len(observed)), bool)
-    below[observed] = itself
+    num_observed = int(np.sum(graph.nodes.observed))
+    size = -(-num_observed // 8)
+    rows = b"".join(below.to_bytes(size, "little") for below in bits_below(graph))
+    packed = np.frombuffer(rows, np.uint8).reshape(-1, size)
+    return np.unpackbits(packed, axis=1, count=num_observed, bitorder="little").astype(bool)
+
+
+def bits_below(graph: SceneGraph) -> list[int]:
+    """Returns what is observed below each node of a host graph; bit k is the k-th observed node."""
+    label, observed = np.asarray(graph.nodes.label), np.asarray(graph.nodes.observed)
+    below = [0] * len(label)
+    for bit, row in enumerate(np.flatnonzero(observed).tolist()):
+        below[row] = 1 << bit
     pairs = parts_first(graph)
-    for kind in np.flatnonzero(~ontology_of(graph).is_observed):  # bottom-up
-        part, whole = pairs[label[pairs[:, 1]] == kind].T
-        np.logical_or.at(below, whole, below[part])
+    pairs = pairs[~observed[pairs[:, 1]]]
+    bottom_up = np.argsort(label[pairs[:, 1]], kind="stable")
+    for part, whole in pairs[bottom_up].tolist():
+        below[whole] |= below[part]
     return below

@@ -106,20 +106,21 @@ def oddities(graph: SceneGraph) -> Counter[Odd]:
 
 def odd_wholes(graph: SceneGraph) -> Iterator[tuple[Odd, int]]:
     """Counts parts that have none or several of what they should have one of."""
-    ontology, label = ontology_of(graph), np.asarray(graph.nodes.label)
+    ontology, label, number = ontology_of(graph), np.asarray(graph.nodes.label), num_wholes(graph)
     for low, high in ontology.single_wholes:
         if high <= label.max(initial=-1):
-            wholes = num_wholes(graph, low, high)[label == low]
+            wholes = number[label == low, high]
             names = ontology.names[low], ontology.names[high]
             yield Odd(Oddity.WITHOUT_WHOLE, *names), int((wholes == 0).sum())
             yield Odd(Oddity.SEVERAL_WHOLES, *names), int((wholes > 1).sum())
 
 
-def num_wholes(graph: SceneGraph, part: int, whole: int) -> np.ndarray:
-    """Returns int[n], of how many nodes of one concept each node of another is part."""
-    label, (low, high) = np.asarray(graph.nodes.label), parts_first(graph).T
-    chosen = (label[low] == part) & (label[high] == whole)
-    return np.bincount(low[chosen], minlength=len(label))
+def num_wholes(graph: SceneGraph) -> np.ndarray:
+    """Returns int[n, C], of how many nodes of each concept each node is part."""
+    label, kinds = np.asarray(graph.nodes.label), ontology_of(graph).num_concepts
+    part, whole = parts_first(graph).T
+    number = np.bincount(part * kinds + label[whole], minlength=len(label) * kinds)
+    return number.reshape(-1, kinds)
 
 
 def _odd_parts(graph: SceneGraph) -> Iterator[tuple[Odd, int]]:

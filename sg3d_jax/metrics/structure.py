@@ -201,12 +201,10 @@ def _num_overlaps(first: list[ObservedSet], second: list[ObservedSet]) -> int:
 def _parent_failures(made: SceneGraph, true: SceneGraph) -> Counter[str]:
     """Counts the parts with no parent where one is due, and those with more than one."""
     found, ontology = Counter[str](), ontology_of(true)
+    held = [(num_wholes(graph), np.asarray(graph.nodes.label)) for graph in (true, made)]
     for child, parent in ontology.single_wholes:
         low, high = ontology.names[child], ontology.names[parent]
-        usual, numbers = (
-            num_wholes(graph, child, parent)[np.asarray(graph.nodes.label) == child].tolist()
-            for graph in (true, made)
-        )
+        usual, numbers = (number[label == child, parent].tolist() for number, label in held)
         found[f"{low} with more than one {high}"] = sum(n > max([1, *usual]) for n in numbers)
         # A plane without its room shows in the room, which is missing or has wrong planes.
         if not ontology.is_observed[child] and min(usual, default=0) > 0:
@@ -228,17 +226,18 @@ def has_one_whole_each(
     """
     ontology, label = ontology_of(generated), np.asarray(generated.nodes.label)
     observed = np.flatnonzero(generated.nodes.observed)
+    number, of_truth = num_wholes(generated), num_wholes(truth)[np.asarray(truth.nodes.observed)]
     for part, whole in ontology.single_wholes:
         if whole > label.max(initial=-1):
             continue
         least, most = np.ones(len(label), int), np.ones(len(label), int)
-        usual = num_wholes(truth, part, whole)[np.asarray(truth.nodes.observed)]
+        usual = of_truth[:, whole]
         if len(usual) != len(observed):
             usual = np.ones(len(observed), int)  # what was given was mended: others
         least[observed] = np.minimum(usual, 1)
         most[observed] = np.maximum(usual, 1 if pieces is None else pieces)
-        count = num_wholes(generated, part, whole)
-        if np.any((label == part) & ((count < least) | (count > most))):
+        wrong = (number[:, whole] < least) | (number[:, whole] > most)
+        if np.any(wrong & (label == part)):
             return False
     return True
 

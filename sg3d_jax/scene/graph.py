@@ -141,17 +141,18 @@ def features_of(graph: SceneGraph) -> dict[str, Array]:
 def undirected_edges(graph: SceneGraph, relation: int) -> np.ndarray:
     """Returns the real edges of one relation, each pair once, as int32[e, 2] with i < j, sorted."""
     senders, receivers = np.asarray(graph.senders), np.asarray(graph.receivers)
-    chosen = np.asarray(graph.edges.mask) & (np.asarray(graph.edges.relation) == relation)
-    once = np.flatnonzero(chosen & (senders < receivers))
-    once = once[np.lexsort((receivers[once], senders[once]))]
-    return np.stack([senders[once], receivers[once]], axis=-1)
+    once = np.asarray(graph.edges.relation) == relation
+    once &= np.asarray(graph.edges.mask) & (senders < receivers)
+    low, high = senders[once], receivers[once]
+    order = np.lexsort((high, low))
+    return np.array([low[order], high[order]]).T
 
 
 def parts_first(graph: SceneGraph) -> np.ndarray:
     """Returns the part-of edges of a host graph as int32[e, 2], the part before its whole."""
-    label, (low, high) = np.asarray(graph.nodes.label), undirected_edges(graph, PART_OF).T
-    turned = label[low] > label[high]
-    return np.stack([np.where(turned, high, low), np.where(turned, low, high)], axis=-1)
+    pairs = undirected_edges(graph, PART_OF)
+    label = np.asarray(graph.nodes.label)[pairs]
+    return np.where(label[:, :1] > label[:, 1:], pairs[:, ::-1], pairs)
 
 
 def part_of_matrix(graph: SceneGraph) -> np.ndarray:
