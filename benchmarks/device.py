@@ -2,13 +2,14 @@
 
     python benchmarks/device.py [WEIGHTS ...] [--minutes 4]
 
-A row is a program at one size: scenes completed by so many lanes, graphs trained on by so large a
-batch, and the peer (benchmarks/peer.py), of which ten sampling steps are timed and scaled to its
-500. Each is measured in a process of its own, which reports what compiling took (nothing is read
-from disk), the peak memory, and which share of the device's own matrix products the products of the
-program reach. The most telling rows come first; a row for which no time is left is named, and left
-out. Products are counted in the traced program: XLA's own analysis counts the body of a loop once,
-however often it runs, and growing consists of loops.
+A row is a program at one size: scenes grown by so many lanes, the same completed by `sg.complete`
+with all that the host does for them, graphs trained on by so large a batch, and the peer
+(benchmarks/peer.py), of which ten sampling steps are timed and scaled to its 500. Each is measured
+in a process of its own, which reports what compiling took (nothing is read from disk), the peak
+memory, and which share of the device's own matrix products the products of the program reach. The
+most telling rows come first; a row for which no time is left is named, and left out. Products are
+counted in the traced program: XLA's own analysis counts the body of a loop once, however often it
+runs, and growing consists of loops.
 
 Prints a table and writes benchmarks/results/device_<kind>.json.
 """
@@ -35,6 +36,7 @@ WEIGHTS: Final = ("fd4-s-f", "midi-s-c")
 PEER_STEPS: Final = 10  # that are timed, of its 500,
 PEER_NODES: Final = 32  # and nodes of its graphs, as S-F has
 CALL_STEPS: Final = 10  # training steps of a call
+DRAWN: Final = 128  # scenes that are drawn at most; lanes beyond that have some of them again
 FRESH: Final = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "false"}  # compiles all anew
 SHARE: Final = 0.6  # of the time left that a row may take, if it is not the last
 LEAST_LEFT: Final = 5.0  # seconds, in which no row can be measured
@@ -50,11 +52,12 @@ class Row(NamedTuple):
 
 def rows_of(is_cpu: bool, weights: tuple[str, ...]) -> list[Row]:
     """Returns what is worth measuring on a device, the most telling first."""
-    lanes, batches, peers = ((1, 4), (32, 8), 8) if is_cpu else ((256, 4, 1024), (256, 32), 256)
+    lanes, batches, peers = ((1, 4), (32, 8), 8) if is_cpu else ((1024, 256, 4), (1024, 256), 256)
     rows = [Row("growing", lanes[0], weights[0]), Row("sampling", peers)]
     rows += [Row("sampling, PyTorch", peers)] * (find_spec("torch") is not None)
     rows += [Row("training", batches[0], weights[0]), Row("learning", batches[0])]
-    rows += [Row("growing", lanes[0], name) for name in weights[1:]]
+    rows += [Row("growing", min(lanes[0], 512), name) for name in weights[1:]]
+    rows += [Row("completing", lanes[0], weights[0])]
     rows += [Row("growing", size, weights[0]) for size in lanes[1:]]
     rows += [Row("training", size, weights[0]) for size in batches[1:]]
     return rows + [Row("training", batches[0], name) for name in weights[1:]]
@@ -146,37 +149,70 @@ def products(row: Row, seconds: float) -> dict[str, Any]:
 
 
 def growing(row: Row, seconds: float) -> dict[str, Any]:
-    """Completes scenes of one bucket, of the kind that the weights were trained on."""
+    """Grows scenes of one bucket, of the kind that the weights were trained on."""
     import jax
+    import numpy as np
 
-    from sg3d_jax.data import registry
-    from sg3d_jax.infer.complete import complete
-    from sg3d_jax.infer.lanes import growth_capacity
-    from sg3d_jax.scene.graph import observed_of
-    from sg3d_jax.scene.padding import pad
+    from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, grow_lanes
+    from sg3d_jax.infer.lanes import sample_keys
+    from sg3d_jax.infer.prepare import prepare
+    from sg3d_jax.scene.padding import stack
     from sg3d_jax.scene.proximity import connect_observed
     from sg3d_jax.train.weights import load_weights
 
     trained = load_weights(row.of)
-    needed = max(8, 4 * row.size)  # as many as the lanes take one after another
-    drawn = [observed_of(graph) for graph in registry.make(_data_of(trained), 2 * needed, seed=1)]
-    buckets = [growth_capacity(len(scene.nodes.label)) for scene in drawn]
-    ((commonest, _),) = Counter(buckets).most_common(1)
-    chosen = [scene for scene, its in zip(drawn, buckets, strict=True) if its == commonest]
-    scenes = chosen[:needed]
-
-    model: Any = trained.model  # grows
-    options: Any = {"candidates": 1, "cut": "never", "lanes": row.size, "outgrow": False}
+    model: Any = trained.model
+    scenes, capacity = _scenes_of(trained, row.size)
+    prepared = prepare(scenes[:DRAWN], model.ontology, keep=False, cut="never")
+    given = stack([prepared[i % len(prepared)].centred for i in range(len(scenes))], capacity)
+    keys = sample_keys(0, range(len(scenes)), [0] * len(scenes))
+    all_of_them = keys, given, np.zeros(len(scenes), np.int32)
+    size = 1 if row.size == 1 else len(scenes)  # one at a time, as a core of a CPU has them
+    batches = [
+        jax.tree.map(lambda leaf, at=start: leaf[at : at + size], all_of_them)
+        for start in range(0, len(scenes), size)
+    ]
+    limits = DEFAULT_MAX_STEPS, False, row.size
 
     def run() -> list[Any]:
-        return complete(model, trained.params, scenes, **options)
+        grown = [grow_lanes(model, trained.params, *batch, *limits) for batch in batches]
+        return jax.block_until_ready(grown)
 
     taken, first = _timed(run, seconds)
-    blocks = sum(one.steps for [one] in run())
-    graph = connect_observed(jax.tree.map(jax.numpy.asarray, pad(scenes[0], commonest)))
+    blocks = sum(int(jax.numpy.sum(grown.steps)) for grown in run())
+    graph = connect_observed(jax.tree.map(lambda leaf: leaf[0], given))
     block = jax.make_jaxpr(model.step)(trained.params, jax.random.key(0), graph)
     flops = blocks * _flops_of(block.jaxpr)
-    return _told(len(scenes), taken, first, flops) | {"nodes": commonest.nodes, "blocks": blocks}
+    return _told(len(scenes), taken, first, flops) | {"nodes": capacity.nodes, "blocks": blocks}
+
+
+def completing(row: Row, seconds: float) -> dict[str, Any]:
+    """Completes the same scenes as a user does, with all that the host has to do for them."""
+    from sg3d_jax.infer.complete import complete
+    from sg3d_jax.train.weights import load_weights
+
+    trained = load_weights(row.of)
+    scenes, capacity = _scenes_of(trained, row.size)
+    options: Any = {"candidates": 1, "cut": "never", "lanes": row.size, "outgrow": False}
+
+    def run() -> None:
+        complete(trained.model, trained.params, scenes, **options)
+
+    taken, first = _timed(run, seconds)
+    return _told(len(scenes), taken, first, None) | {"nodes": capacity.nodes}
+
+
+def _scenes_of(trained: Any, lanes: int) -> tuple[list[Any], Any]:
+    """Returns as many scenes of one bucket as lanes take one after another, and that bucket."""
+    from sg3d_jax.data import registry
+    from sg3d_jax.infer.lanes import QUEUE, growth_capacity
+    from sg3d_jax.scene.graph import observed_of
+
+    drawn = [observed_of(graph) for graph in registry.make(_data_of(trained), 2 * DRAWN, seed=1)]
+    buckets = [growth_capacity(len(scene.nodes.label)) for scene in drawn]
+    ((commonest, _),) = Counter(buckets).most_common(1)
+    chosen = [scene for scene, its in zip(drawn, buckets, strict=True) if its == commonest][:DRAWN]
+    return [chosen[i % len(chosen)] for i in range(max(8, QUEUE * lanes))], commonest
 
 
 def training(row: Row, seconds: float) -> dict[str, Any]:
@@ -290,6 +326,7 @@ def learning(row: Row, seconds: float) -> dict[str, Any]:
 MEASURES: Final[dict[str, Callable[[Row, float], dict[str, Any]]]] = {
     "products": products,
     "growing": growing,
+    "completing": completing,
     "training": training,
     "sampling": sampling,
     "sampling, PyTorch": sampling_by_torch,

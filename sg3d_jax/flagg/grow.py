@@ -91,7 +91,7 @@ class _Growing(NamedTuple):
     upper: Array  # bool[], whether the upper layers have been reached (`FlaggConfig.upper`)
 
 
-def _runs(growing: _Growing) -> Bool[Array, ""]:
+def _runs(growing: _Growing) -> Bool[Array, "..."]:
     return growing.reason == RUNNING
 
 
@@ -211,22 +211,35 @@ def _lanes_grown(
         scene = _begun(model, params, key, given, max_steps, ask_first, steps)
         return scene._replace(reason=jnp.where(steps >= max_steps, MAX_STEPS, scene.reason))
 
-    def with_block(key: Key[Array, ""], growing: _Growing) -> _Growing:
-        chosen = model.drawing(params, growing.upper)
-        return _with_block(model, chosen, unrolled(key), max_steps, growing)
+    def layers(scenes: _Growing) -> _Growing:  # of all: those below the upper ones, or those
+        upper = jnp.all(scenes.upper | ~_runs(scenes))
+        chosen = model.drawing(params, upper)
 
-    def step(state: tuple[_Growing, Array, Array]) -> tuple[_Growing, Array, Array]:
-        scenes, places, first_waiting = state
-        one = jax.tree.map(lambda leaf: leaf.at[places].get(mode="clip"), (keys, scenes))
-        running = (places < count) & (one[1].reason == RUNNING)
-        grown = jax.vmap(with_block)(*one)
-        to = jnp.where(running, places, count)  # else dropped
-        scenes = jax.tree.map(lambda leaf, new: leaf.at[to].set(new, mode="drop"), scenes, grown)
-        free = ~running | (grown.reason != RUNNING)
-        places = jnp.where(free, first_waiting + jnp.cumsum(free) - 1, places)
-        return scenes, places, first_waiting + jnp.sum(free)
+        def goes_on(growing: _Growing) -> Bool[Array, "..."]:
+            return _runs(growing) & (growing.upper == upper)
 
-    places = jnp.arange(min(lanes or count, count))
-    start = jax.vmap(begun)(keys, given, steps), places, jnp.asarray(len(places))
-    scenes, *_ = jax.lax.while_loop(lambda state: jnp.any(state[0].reason == RUNNING), step, start)
+        def with_block(key: Key[Array, ""], growing: _Growing) -> _Growing:
+            return _with_block(model, chosen, unrolled(key), max_steps, growing)
+
+        def step(state: tuple[_Growing, Array, Array]) -> tuple[_Growing, Array, Array]:
+            scenes, places, first_waiting = state
+            rows = waiting.at[places].get(mode="clip")
+            one = jax.tree.map(lambda leaf: leaf[rows], (keys, scenes))
+            running = (places < count) & goes_on(one[1])
+            grown = jax.vmap(with_block)(*one)
+            to = jnp.where(running, rows, count)  # else dropped
+            scenes = jax.tree.map(
+                lambda leaf, new: leaf.at[to].set(new, mode="drop"), scenes, grown
+            )
+            free = ~running | ~goes_on(grown)
+            places = jnp.where(free, first_waiting + jnp.cumsum(free) - 1, places)
+            return scenes, places, first_waiting + jnp.sum(free)
+
+        waiting = jnp.argsort(~goes_on(scenes), stable=True)
+        places = jnp.arange(min(lanes or count, count))
+        start = scenes, places, jnp.asarray(len(places))
+        return jax.lax.while_loop(lambda state: jnp.any(goes_on(state[0])), step, start)[0]
+
+    scenes = jax.vmap(begun)(keys, given, steps)
+    scenes = jax.lax.while_loop(lambda scenes: jnp.any(_runs(scenes)), layers, scenes)
     return jax.vmap(_ended)(scenes)

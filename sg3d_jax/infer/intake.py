@@ -121,10 +121,10 @@ def _first_alike(graph: SceneGraph, chosen: np.ndarray) -> np.ndarray:
     columns = [graph.nodes.label, graph.nodes.position, *features_of(graph).values()]
     rows = np.flatnonzero(chosen)
     table = np.column_stack([np.asarray(column)[rows] for column in columns])
-    rounded = np.round(table, DUPLICATE_DECIMALS)
-    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    alike = np.arange(len(chosen))
-    alike[rows] = rows[first[group.reshape(-1)]]
+    rounded = np.round(table, DUPLICATE_DECIMALS) + 0.0  # as that is 0.0 of -0.0
+    alike, first = np.arange(len(chosen)), {}
+    for row, values in zip(rows.tolist(), rounded, strict=True):
+        alike[row] = first.setdefault(values.tobytes(), row)
     return alike
 
 

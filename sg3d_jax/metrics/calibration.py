@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sg3d_jax.scene.graph import SceneGraph, ontology_of, parts_first
+from sg3d_jax.scene.graph import SceneGraph, parts_first
 from sg3d_jax.scene.padding import unpad_all
 
 BINS: Final = 10

@@ -152,8 +152,10 @@ def stack(graphs: Sequence[SceneGraph], capacity: Capacity) -> PackedGraph:
     """
     if not graphs:
         raise ValueError("there are no graphs to stack, expected at least one")
-    padded = [pad(graph, capacity) for graph in graphs]
-    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *padded))
+    distinct = {id(graph): graph for graph in graphs}  # a batch may have one many times
+    padded = {name: pad(graph, capacity) for name, graph in distinct.items()}
+    in_order = [padded[id(graph)] for graph in graphs]
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *in_order))
 
 
 def part_of_adjacency(graph: SceneGraph) -> Bool[Array, "N N"]:

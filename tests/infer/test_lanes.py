@@ -233,7 +233,11 @@ def test_small_buckets_have_more_lanes_on_a_device_that_is_no_cpu(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     widths = [num_lanes(capacity) for capacity in capacities]
     assert widths == sorted(widths, reverse=True)
-    assert (widths[0], widths[-1]) == (256, 16)
+    assert (widths[0], widths[-1]) == (1024, 32)
+    monkeypatch.setattr(lanes, "device_memory", lambda: 6 * 2**30)
+    assert [num_lanes(capacity) for capacity in capacities[2:5]] == [768, 512, 384]
+    monkeypatch.setattr(lanes, "device_memory", lambda: 2**20)
+    assert {num_lanes(capacity) for capacity in capacities} == {1}
     assert lanes.num_workers() == 4
     assert lanes.lane_mesh().size == len(jax.local_devices())
     with jax.default_device(jax.devices()[0]):
