@@ -6,6 +6,7 @@ Source: paper, Eq. (flagg_full) and Sec. "Generating 3DSGs".
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -72,13 +73,12 @@ def grow(
     with own_types():
         begun = _begun(model, params, key, given, max_steps, ask_first, steps)
 
-        def layers(growing: _Growing) -> _Growing:  # all below the upper ones, or all of those
-            chosen, upper = model.drawing(params, growing.upper), growing.upper
+        def layers(above: Bool[Array, ""], growing: _Growing) -> _Growing:
+            chosen = model.drawing(params, above)
             step = functools.partial(_with_block, model, chosen, unrolled(key), max_steps)
-            goes_on = lambda growing: _runs(growing) & (growing.upper == upper)
-            return jax.lax.while_loop(goes_on, step, growing)
+            return jax.lax.while_loop(functools.partial(_goes_on, above), step, growing)
 
-        return _ended(jax.lax.while_loop(_runs, layers, begun))
+        return _ended(_layer_by_layer(model, layers, begun))
 
 
 class _Growing(NamedTuple):
@@ -91,8 +91,20 @@ class _Growing(NamedTuple):
     upper: Array  # bool[], whether the upper layers have been reached (`FlaggConfig.upper`)
 
 
-def _runs(growing: _Growing) -> Bool[Array, "..."]:
-    return growing.reason == RUNNING
+def _goes_on(above: Bool[Array, ""], growing: _Growing) -> Bool[Array, "..."]:
+    """Returns whether a graph grows in the upper layers, or in those below them."""
+    return (growing.reason == RUNNING) & (growing.upper == above)
+
+
+def _layer_by_layer(
+    model: Flagg, grow: Callable[[Bool[Array, ""], _Growing], _Growing], growing: _Growing
+) -> _Growing:
+    """Grows what is below the upper layers, then these, if they have parameters of their own.
+
+    Which of both it is no `vmap` makes a batch of, and so none of the parameters.
+    """
+    number = 2 if model.config.upper else 1
+    return jax.lax.fori_loop(0, number, lambda i, growing: grow(i == 1, growing), growing)
 
 
 def _begun(
@@ -211,12 +223,8 @@ def _lanes_grown(
         scene = _begun(model, params, key, given, max_steps, ask_first, steps)
         return scene._replace(reason=jnp.where(steps >= max_steps, MAX_STEPS, scene.reason))
 
-    def layers(scenes: _Growing) -> _Growing:  # of all: those below the upper ones, or those
-        upper = jnp.all(scenes.upper | ~_runs(scenes))
-        chosen = model.drawing(params, upper)
-
-        def goes_on(growing: _Growing) -> Bool[Array, "..."]:
-            return _runs(growing) & (growing.upper == upper)
+    def layers(above: Bool[Array, ""], scenes: _Growing) -> _Growing:
+        chosen, goes_on = model.drawing(params, above), functools.partial(_goes_on, above)
 
         def with_block(key: Key[Array, ""], growing: _Growing) -> _Growing:
             return _with_block(model, chosen, unrolled(key), max_steps, growing)
@@ -240,6 +248,5 @@ def _lanes_grown(
         start = scenes, places, jnp.asarray(len(places))
         return jax.lax.while_loop(lambda state: jnp.any(goes_on(state[0])), step, start)[0]
 
-    scenes = jax.vmap(begun)(keys, given, steps)
-    scenes = jax.lax.while_loop(lambda scenes: jnp.any(_runs(scenes)), layers, scenes)
-    return jax.vmap(_ended)(scenes)
+    begun_all = jax.vmap(begun)(keys, given, steps)
+    return jax.vmap(_ended)(_layer_by_layer(model, layers, begun_all))

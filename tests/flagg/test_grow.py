@@ -243,6 +243,33 @@ def test_upper_layers__are_drawn_by_parameters_of_their_own(upper, expected):
         assert drawn_by(one.graph, NUM_PLANES + 4 - count) == expected + more
 
 
+def arrays_in(jaxpr):
+    """Yields the shape and type of every array in a traced program, and in what it consists of."""
+    for equation in jaxpr.eqns:
+        for one in (*equation.invars, *equation.outvars):
+            yield one.aval.shape, one.aval.dtype
+        for inner in jax.tree.leaves(equation.params, is_leaf=lambda one: hasattr(one, "eqns")):
+            if hasattr(inner, "eqns"):
+                yield from arrays_in(inner)
+
+
+def test_graphs_side_by_side__share_the_parameters_of_all_layers():
+    """Which `vmap` would make a batch of, to be read by every product, if they chose for each."""
+    params = stop_at(NUM_PLANES + 4)
+    params = params._replace(fill=np.ones(3, np.float16), upper=np.full(3, 2, np.float16))
+    model, scenes = in_layers("floor"), stack([observed_of(SCENE)] * 5, ROOM_FOR)
+    keys = jax.random.split(jax.random.key(0), 5)
+
+    def all_of(keys, scenes):
+        return jax.vmap(lambda key, scene: grow(model, params, key, scene, LIMIT))(keys, scenes)
+
+    batch = model, params, keys, scenes, np.zeros(5, np.int32), LIMIT, False, 2
+    for traced in (jax.make_jaxpr(all_of)(keys, scenes), grow_lanes.trace(*batch).jaxpr):
+        found = {shape for shape, dtype in arrays_in(traced) if dtype == np.float16}
+        assert (3,) in found  # the parameters; what a block has of them is
+        assert found <= {(), (3,), (1, 3)}
+
+
 def test_a_graph_does_not_end__where_the_upper_layers_begin():
     """Which is no step: Halt, which would end at once, is asked after the first floor."""
     rooms = subgraph(SCENE, np.arange(NUM_PLANES + 3))
