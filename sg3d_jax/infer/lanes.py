@@ -187,8 +187,8 @@ def largest_capacity(num_observed: int, num_given: int = 0) -> Capacity:
 def num_lanes(capacity: Capacity) -> int:
     """Returns how many scenes of a bucket a device grows together by default.
 
-    A core of a CPU takes four floors of S-F a quarter faster together than one by one, but cities
-    not, and only as long as there are others to take the place of the first that is complete.
+    A core of a CPU draws a block of four floors of S-F in a quarter less time than four of one, of
+    cities not, and waiting for one another takes that back.
     """
     if jax.default_backend() == "cpu":
         return 1

@@ -142,15 +142,15 @@ def observed_below(graph: SceneGraph) -> np.ndarray:
 
     What is observed is below itself alone.
     """
-    num_observed = int(np.sum(graph.nodes.observed))
+    below, num_observed = bits_below(graph), int(np.sum(graph.nodes.observed))
     size = -(-num_observed // 8)
-    rows = b"".join(below.to_bytes(size, "little") for below in bits_below(graph))
-    packed = np.frombuffer(rows, np.uint8).reshape(-1, size)
-    return np.unpackbits(packed, axis=1, count=num_observed, bitorder="little").astype(bool)
+    packed = np.frombuffer(b"".join(bits.to_bytes(size, "little") for bits in below), np.uint8)
+    rows = packed.reshape(len(below), size)
+    return np.unpackbits(rows, axis=1, count=num_observed, bitorder="little").astype(bool)
 
 
 def bits_below(graph: SceneGraph) -> list[int]:
-    """Returns what is observed below each node of a host graph; bit k is the k-th observed node."""
+    """Returns `observed_below` as numbers, of which bit k stands for the k-th observed node."""
     label, observed = np.asarray(graph.nodes.label), np.asarray(graph.nodes.observed)
     below = [0] * len(label)
     for bit, row in enumerate(np.flatnonzero(observed).tolist()):

@@ -87,6 +87,10 @@ def test_what_is_observed_is_below_its_whole_and_whatever_that_is_part_of():
     assert below[TOP].all()
     world = own_world()
     assert observed_below(world)[-1].sum() == 14  # twelve planes and two pillars
+    nothing = subgraph(two_rooms(), [WALL, EAST])
+    npt.assert_array_equal(observed_below(nothing), np.zeros((2, 0), bool))
+    assert identities(nothing) == [(1, 0, 0), (2, 0, 0)]
+    npt.assert_array_equal(observed_below(subgraph(nothing, [])), np.zeros((0, 0), bool))
 
 
 def test_a_node_without_one_of_its_planes_is_wrong_with_all_above_it():
