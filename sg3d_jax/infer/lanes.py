@@ -38,7 +38,7 @@ from sg3d_jax.scene.padding import (
 )
 
 LANES = 1024  # scenes that an accelerator grows together at most, and
-LANE_NODES = 65_536  # nodes of all of them: more than a card is done with before its next kernel
+LANE_NODES = 65_536  # nodes of all of them: enough that kernels take longer than starting them
 LANE_BYTES = 2**18  # memory that there must be for each of these: two to ten times what it takes
 QUEUE = 4  # scenes that each of several lanes takes in one call, one after another
 BEGUN = 16  # scenes under way for each core of a CPU
