@@ -203,7 +203,7 @@ def complete_each(
         drawn = yield from _drawn(scene, samples, most)
         return _completions(scene, drawn, told)
 
-    limits = seed, max_steps, numbers, lanes, outgrow
+    limits = seed, max_steps, numbers, lanes, outgrow, samples * min(most, ROUND)
     return complete_lanes(model, params, prepared, course, *limits)
 
 

@@ -37,8 +37,8 @@ from sg3d_jax.scene.padding import (
     unpad,
 )
 
-LANES = 1024  # scenes that an accelerator grows together at most, and
-LANE_NODES = 65_536  # nodes of all of them: enough that kernels take longer than starting them
+LANES = (16, 64, 256, 1024)  # graphs that an accelerator grows together, by how many there are
+LANE_NODES = 65_536  # nodes of all of them at most: kernels then take longer than starting them
 LANE_BYTES = 2**18  # memory that there must be for each of these: two to ten times what it takes
 QUEUE = 4  # scenes that each of several lanes takes in one call, one after another
 BEGUN = 16  # scenes under way for each core of a CPU
@@ -184,9 +184,10 @@ def largest_capacity(num_observed: int, num_given: int = 0) -> Capacity:
     return bucket(min(max(9 * num_observed // 4, num_given) + 16, NODE_CAPACITIES[-1]))
 
 
-def num_lanes(capacity: Capacity) -> int:
-    """Returns how many scenes of a bucket a device grows together by default.
+def num_lanes(capacity: Capacity, count: int = LANES[-1]) -> int:
+    """Returns how many graphs of a bucket a device grows together by default, of so many in all.
 
+    An accelerator has few places for few graphs: those that nothing fills cost as much.
     A core of a CPU draws a block of four floors of S-F in a quarter less time than four of one, of
     cities not, and waiting for one another takes that back.
     """
@@ -194,7 +195,8 @@ def num_lanes(capacity: Capacity) -> int:
         return 1
     memory = device_memory()
     nodes = LANE_NODES if memory is None else min(LANE_NODES, memory // LANE_BYTES)
-    return max(1, min(LANES, nodes // capacity.nodes))
+    enough = next((lanes for lanes in LANES if lanes >= count), LANES[-1])
+    return max(1, min(enough, nodes // capacity.nodes))
 
 
 def device_memory() -> int | None:
@@ -235,6 +237,7 @@ def complete_lanes(
     numbers: Sequence[int] | None = None,
     lanes: int | None = None,
     outgrow: bool = True,
+    draws: int = 1,
 ) -> Generator[Result]:
     """Completes prepared scenes in batches of one size.
 
@@ -250,6 +253,7 @@ def complete_lanes(
         but for rounding.
       outgrow: whether a graph that does not fit goes on in the next bucket, up to
         `largest_capacity`.
+      draws: samples that a scene asks for at once, to tell how many lanes suit.
 
     Returns:
       What becomes of the scenes, in order, each as soon as it and those before it are done.
@@ -262,7 +266,8 @@ def complete_lanes(
     if mesh is not None:
         params = jax.device_put(params, NamedSharding(mesh, PartitionSpec()))
     numbers = range(len(scenes)) if numbers is None else numbers
-    runner = _Runner(model, params, scenes, numbers, seed, max_steps, lanes, mesh)
+    count = draws * len(scenes)
+    runner = _Runner(model, params, scenes, numbers, seed, max_steps, lanes, count, mesh)
     return _in_order(_Work(runner, capacities, course, outgrow), len(scenes))
 
 
@@ -276,17 +281,22 @@ class _Runner(NamedTuple):
     seed: int
     max_steps: int
     lanes: int | None  # of a device; None for `num_lanes`
+    count: int  # graphs that are asked for at once, of all scenes
     mesh: Mesh | None  # devices; None for one
+
+    @property
+    def devices(self) -> int:
+        """How many devices share a batch."""
+        return 1 if self.mesh is None else self.mesh.size
 
     def width(self, capacity: Capacity) -> int:
         """Returns how many scenes of a bucket a device grows together."""
-        return self.lanes or num_lanes(capacity)
+        return self.lanes or num_lanes(capacity, -(-self.count // self.devices))
 
     def size(self, capacity: Capacity) -> int:
         """Returns how many scenes of a bucket are a full batch."""
         width, is_queue = self.width(capacity), isinstance(self.model, Flagg)
-        devices = 1 if self.mesh is None else self.mesh.size
-        return width * devices * (QUEUE if is_queue and width > 1 else 1)
+        return width * self.devices * (QUEUE if is_queue and width > 1 else 1)
 
     def program(self, capacity: Capacity) -> Any:
         """Returns what a compiled program of a bucket is known by."""
@@ -298,8 +308,8 @@ class _Runner(NamedTuple):
         What is dealt to devices are runs of the batch, so the jobs are dealt to those, and fillers
         come last in each. They repeat a job, but are not grown: they have had all their steps.
         """
-        size, devices = self.size(capacity), 1 if self.mesh is None else self.mesh.size
-        order = np.arange(size).reshape(-1, devices).T.ravel()
+        size = self.size(capacity)
+        order = np.arange(size).reshape(-1, self.devices).T.ravel()
         filled = [*jobs, *[jobs[-1]._replace(steps=self.max_steps)] * (size - len(jobs))]
         filled = [filled[index] for index in order.tolist()]
         keys = sample_keys(
@@ -432,7 +442,7 @@ class _Work:
 def _in_order(work: _Work, count: int) -> Generator[Any]:
     """Yields what becomes of so many scenes, each as soon as it is known."""
     is_cpu = jax.default_backend() == "cpu"
-    ahead = BEGUN * num_workers() if is_cpu else 2 * QUEUE * LANES
+    ahead = BEGUN * num_workers() if is_cpu else 2 * QUEUE * LANES[-1]
     begun = 0
     try:
         for place in range(count):

@@ -11,6 +11,7 @@ from sg3d_jax.baselines.midi_oracle import MiDiOracle, MiDiOracleConfig
 from sg3d_jax.flagg.grow import DEFAULT_MAX_STEPS, grow_lanes
 from sg3d_jax.flagg.placement import Placement
 from sg3d_jax.infer import complete as completing
+from sg3d_jax.infer import lanes
 from sg3d_jax.infer.complete import Completion, complete, complete_each
 from sg3d_jax.infer.lanes import growth_capacity
 from sg3d_jax.infer.placement import placed
@@ -276,6 +277,13 @@ def test_no_more_are_drawn_once_most_are_alike(monkeypatch):
     )
     complete(MODEL, stop_at(11), [first_planes(8)])
     assert len(kept[0][0]) == 8
+
+
+def test_lanes_are_for_as_many_graphs_as_are_drawn_at_once(monkeypatch):
+    asked = set()
+    monkeypatch.setattr(lanes, "num_lanes", lambda capacity, count: asked.add(count) or 1)
+    complete(MODEL, stop_at(11), [SCENE] * 3, samples=2, candidates=3)  # of which two come first
+    assert asked == {12}
 
 
 @pytest.mark.parametrize(

@@ -234,6 +234,14 @@ def test_small_buckets_have_more_lanes_on_a_device_that_is_no_cpu(monkeypatch):
     widths = [num_lanes(capacity) for capacity in capacities]
     assert widths == sorted(widths, reverse=True)
     assert (widths[0], widths[-1]) == (1024, 32)
+    floors = Capacity(48, 576)
+    assert [num_lanes(floors, count) for count in (1, 16, 17, 300, 9999)] == [
+        16,
+        16,
+        64,
+        1024,
+        1024,
+    ]
     monkeypatch.setattr(lanes, "device_memory", lambda: 6 * 2**30)
     assert [num_lanes(capacity) for capacity in capacities[2:5]] == [768, 512, 384]
     monkeypatch.setattr(lanes, "device_memory", lambda: 2**20)
