@@ -28,6 +28,7 @@ from collections import Counter
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -162,9 +163,9 @@ def growing(row: Row, seconds: float) -> dict[str, Any]:
 
     trained = load_weights(row.of)
     model: Any = trained.model
-    scenes, capacity = _scenes_of(trained, row.size)
-    prepared = prepare(scenes[:DRAWN], model.ontology, keep=False, cut="never")
-    given = stack([prepared[i % len(prepared)].centred for i in range(len(scenes))], capacity)
+    drawn, capacity = _scenes_of(trained)
+    scenes = _in_turn(prepare(drawn, model.ontology, keep=False, cut="never"), row.size)
+    given = stack([scene.centred for scene in scenes], capacity)
     keys = sample_keys(0, range(len(scenes)), [0] * len(scenes))
     all_of_them = keys, given, np.zeros(len(scenes), np.int32)
     size = 1 if row.size == 1 else len(scenes)  # one at a time, as a core of a CPU has them
@@ -192,7 +193,8 @@ def completing(row: Row, seconds: float) -> dict[str, Any]:
     from sg3d_jax.train.weights import load_weights
 
     trained = load_weights(row.of)
-    scenes, capacity = _scenes_of(trained, row.size)
+    drawn, capacity = _scenes_of(trained)
+    scenes = _in_turn(drawn, row.size)
     options: Any = {"candidates": 1, "cut": "never", "lanes": row.size, "outgrow": False}
 
     def run() -> None:
@@ -202,17 +204,24 @@ def completing(row: Row, seconds: float) -> dict[str, Any]:
     return _told(len(scenes), taken, first, None) | {"nodes": capacity.nodes}
 
 
-def _scenes_of(trained: Any, lanes: int) -> tuple[list[Any], Any]:
-    """Returns as many scenes of one bucket as lanes take one after another, and that bucket."""
+def _scenes_of(trained: Any) -> tuple[list[Any], Any]:
+    """Returns scenes of one bucket, of the kind that weights were trained on, and that bucket."""
     from sg3d_jax.data import registry
-    from sg3d_jax.infer.lanes import QUEUE, growth_capacity
+    from sg3d_jax.infer.lanes import growth_capacity
     from sg3d_jax.scene.graph import observed_of
 
     drawn = [observed_of(graph) for graph in registry.make(_data_of(trained), 2 * DRAWN, seed=1)]
     buckets = [growth_capacity(len(scene.nodes.label)) for scene in drawn]
     ((commonest, _),) = Counter(buckets).most_common(1)
-    chosen = [scene for scene, its in zip(drawn, buckets, strict=True) if its == commonest][:DRAWN]
-    return [chosen[i % len(chosen)] for i in range(max(8, QUEUE * lanes))], commonest
+    chosen = [scene for scene, its in zip(drawn, buckets, strict=True) if its == commonest]
+    return chosen[:DRAWN], commonest
+
+
+def _in_turn(scenes: list[Any], lanes: int) -> list[Any]:
+    """Returns as many scenes as lanes take one after another, if need be some of them again."""
+    from sg3d_jax.infer.lanes import QUEUE
+
+    return list(islice(cycle(scenes), max(8, QUEUE * lanes)))
 
 
 def training(row: Row, seconds: float) -> dict[str, Any]:

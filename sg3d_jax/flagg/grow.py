@@ -231,11 +231,10 @@ def _lanes_grown(
 
         def step(state: tuple[_Growing, Array, Array]) -> tuple[_Growing, Array, Array]:
             scenes, places, first_waiting = state
-            rows = waiting.at[places].get(mode="clip")
-            one = jax.tree.map(lambda leaf: leaf[rows], (keys, scenes))
+            one = jax.tree.map(lambda leaf: leaf.at[places].get(mode="clip"), (keys, scenes))
             running = (places < count) & goes_on(one[1])
             grown = jax.vmap(with_block)(*one)
-            to = jnp.where(running, rows, count)  # else dropped
+            to = jnp.where(running, places, count)  # else dropped
             scenes = jax.tree.map(
                 lambda leaf, new: leaf.at[to].set(new, mode="drop"), scenes, grown
             )
@@ -243,7 +242,6 @@ def _lanes_grown(
             places = jnp.where(free, first_waiting + jnp.cumsum(free) - 1, places)
             return scenes, places, first_waiting + jnp.sum(free)
 
-        waiting = jnp.argsort(~goes_on(scenes), stable=True)
         places = jnp.arange(min(lanes or count, count))
         start = scenes, places, jnp.asarray(len(places))
         return jax.lax.while_loop(lambda state: jnp.any(goes_on(state[0])), step, start)[0]

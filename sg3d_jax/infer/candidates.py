@@ -48,7 +48,7 @@ def are_settled(candidates: Sequence[SceneGraph], num_given: int) -> bool:
     """
     if len(candidates) < 2:
         return False
-    held = [frozenset(Counter(identities(graph)[num_given:]).items()) for graph in candidates]
+    held = [frozenset(identities(graph)[num_given:]) for graph in candidates]
     return 2 * Counter(held).most_common(1)[0][1] > len(held)
 
 

@@ -32,8 +32,9 @@ from sg3d_jax.flagg.step import Flagg, check_grows
 from sg3d_jax.infer.arguments import check_finite, whole_number
 from sg3d_jax.infer.confidence import likely
 from sg3d_jax.infer.continuity import Seen, carried
+from sg3d_jax.infer.devices import num_workers
 from sg3d_jax.infer.intake import taken_in
-from sg3d_jax.infer.lanes import as_here, num_workers, root_key
+from sg3d_jax.infer.lanes import as_here, root_key
 from sg3d_jax.infer.placement import placed
 from sg3d_jax.infer.region import Region, region_of, whole_region
 from sg3d_jax.infer.revision import Map, Tracks, revised, without

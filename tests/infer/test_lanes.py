@@ -9,14 +9,14 @@ import pytest
 from jax.sharding import Mesh
 
 from sg3d_jax.flagg.grow import CAPACITY, HALTED, MAX_STEPS
-from sg3d_jax.infer import lanes
+from sg3d_jax.infer import devices, lanes
+from sg3d_jax.infer.devices import num_lanes
 from sg3d_jax.infer.lanes import (
     Model,
     OneShot,
     complete_lanes,
     growth_capacity,
     largest_capacity,
-    num_lanes,
     root_key,
     sample_keys,
 )
@@ -235,16 +235,11 @@ def test_small_buckets_have_more_lanes_on_a_device_that_is_no_cpu(monkeypatch):
     assert widths == sorted(widths, reverse=True)
     assert (widths[0], widths[-1]) == (1024, 32)
     floors = Capacity(48, 576)
-    assert [num_lanes(floors, count) for count in (1, 16, 17, 300, 9999)] == [
-        16,
-        16,
-        64,
-        1024,
-        1024,
-    ]
-    monkeypatch.setattr(lanes, "device_memory", lambda: 6 * 2**30)
+    of_few = [num_lanes(floors, count) for count in (1, 16, 17, 300, 9999)]
+    assert of_few == [16, 16, 64, 1024, 1024]
+    monkeypatch.setattr(devices, "device_memory", lambda: 6 * 2**30)
     assert [num_lanes(capacity) for capacity in capacities[2:5]] == [768, 512, 384]
-    monkeypatch.setattr(lanes, "device_memory", lambda: 2**20)
+    monkeypatch.setattr(devices, "device_memory", lambda: 2**20)
     assert {num_lanes(capacity) for capacity in capacities} == {1}
     assert lanes.num_workers() == 4
     assert lanes.lane_mesh().size == len(jax.local_devices())
